@@ -1,5 +1,5 @@
 """The light is the user's: robots that follow a light which is dragged, on the stage and in the
-editor."""
+Lab."""
 
 import json
 import shlex
@@ -439,9 +439,9 @@ def test_a_drive_survives_a_lost_context(service, browser):
     assert browser.faults() == []
 
 
-def test_the_editor_drives_the_body(browser):
+def test_the_lab_drives_the_body(browser):
     """A changed body follows the same light."""
-    browser.open("editor")
+    browser.open("lab")
     browser.until_walking()
     browser.run("document.querySelector('.stage').player.setPlaying(true)")
     browser.click("Drive")

@@ -52,7 +52,7 @@ def test_the_best_of_the_store_walks(service, browser):
     assert browser.run("return document.querySelector('.about h2 a').hash") == f"#/designs/{robot}"
     doors = browser.run("return [...document.querySelectorAll('.door')].map((e) => e.hash ?? '')")
     robots = ",".join(item["robot"] for item in best)
-    assert doors == ["#/editor", "", f"#/stage?designs={robots}&environment=3"]
+    assert doors == ["#/lab", "", f"#/stage?designs={robots}&environment=3"]
     browser.run("document.querySelectorAll('.door')[1].click()")
     browser.until("document.querySelector('dialog[open] select[name=preset]')?.value === 'demo'")
     assert browser.faults() == []
@@ -117,7 +117,7 @@ def test_who_may_only_look_has_three_doors(start):
         page.open("")
         page.until_walking()
         doors = page.run("return [...document.querySelectorAll('.door')].map((e) => e.hash)")
-        assert doors[:2] == ["#/editor", "#/campaigns"]
+        assert doors[:2] == ["#/lab", "#/campaigns"]
         assert doors[2].startswith("#/stage?designs=")
     finally:
         page.quit()

@@ -24,7 +24,7 @@ BROKEN = {
     "overview?state=bored": "one of queued", "overview?archived=maybe": "one of true, all",
     "campaigns/{campaign}?compare=x": "the number of a job",
     "trainings/{training}?compare=1,2,3,4": "compare names 4 jobs",
-    "editor?voxels=01": "144 digits", "compare?designs=12": "12 is not a robot",
+    "lab?voxels=01": "144 digits", "compare?designs=12": "12 is not a robot",
     "compare": "names no robots",
 }
 
@@ -127,12 +127,12 @@ def test_tabs_are_named(service, browser):
         browser.until(f"document.title === {title!r}")
 
 
-def test_what_the_editor_keeps_stays(browser):
-    browser.open("editor?voxels=" + "1" + "0" * 143)
+def test_what_the_lab_keeps_stays(browser):
+    browser.open("lab?voxels=" + "1" + "0" * 143)
     browser.click("→")
     browser.click("Keep")
     go(browser, "designs")
-    go(browser, "editor")
+    go(browser, "lab")
     assert browser.run("return document.querySelectorAll('#tray li').length") == 1
     voxels = "new URLSearchParams(location.hash.split('?')[1]).get('voxels')"
     browser.click("Undo")
@@ -141,8 +141,8 @@ def test_what_the_editor_keeps_stays(browser):
     browser.until(TOAST + "?.innerText.includes('already in the tray')")
 
 
-def test_the_editor_scores_again_when_the_service_is_back(browser):
-    browser.open("editor?voxels=" + "1" + "0" * 143)
+def test_the_lab_scores_again_when_the_service_is_back(browser):
+    browser.open("lab?voxels=" + "1" + "0" * 143)
     browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
     browser.run("document.querySelector('main p.result').textContent = 'cannot be reached'")
     browser.driver.execute_async_script("""
@@ -295,7 +295,7 @@ def test_dialogs_are_forms(service, browser):
 
 def test_colors_of_the_person(browser):
     """With forced colors, selected and pressed controls still look different."""
-    browser.open("editor?voxels=" + "1" + "0" * 143)
+    browser.open("lab?voxels=" + "1" + "0" * 143)
     media = {"features": [{"name": "forced-colors", "value": "active"}]}
     browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
     try:

@@ -96,7 +96,7 @@ def test_styles_are_classes(service, browser):
 
 
 def test_refusals_and_news_are_seen(browser, busy):
-    browser.open("editor?voxels=" + "1" + "0" * 143)
+    browser.open("lab?voxels=" + "1" + "0" * 143)
     browser.click("←")
     browser.until(TOAST)
     assert browser.texts("#toast span") == ["The body is at the edge of the workspace."]
@@ -337,7 +337,7 @@ def test_a_comparison_ends_with_its_page(browser):
 
 
 @pytest.mark.parametrize("view", [
-    "editor?design=" + "f" * 36, "editor?voxels=01", "campaigns/{campaign}/population",
+    "lab?design=" + "f" * 36, "lab?voxels=01", "campaigns/{campaign}/population",
 ])
 def test_a_page_that_cannot_be_shown_frees_its_stage(service, browser, view):
     browser.open("overview")

@@ -28,7 +28,7 @@ VIEWS = {
     "trainings/{training}/settings": "Training run {training}",
     "evaluations/{evaluation}": "Evaluation {evaluation}",
     "evaluations/{evaluation}/settings": "Evaluation {evaluation}",
-    "designs": "Designs", "controllers": "Controllers", "editor": "Editor",
+    "designs": "Designs", "controllers": "Controllers", "lab": "Lab",
     "stage": "Stage", "machines": "Machines",
     "compare?designs={robots}": "Compare robots"
 }
@@ -46,7 +46,7 @@ def test_page(service, browser, view, theme):
     browser.open(address(service, view), theme)
     title = address(service, VIEWS[view])
     browser.until(f"document.querySelector('h1')?.textContent === {title!r}")
-    if view in ("", "editor", "stage"):
+    if view in ("", "lab", "stage"):
         browser.until_walking()
     assert browser.faults() == []
     assert browser.run(ACCESSIBILITY) == []
@@ -117,18 +117,19 @@ def test_curves_agree_with_the_api(service, browser):
     assert f"best from {best[0]:.3g}" in label and f"to {best[-1]:.3g} at generation 4" in label
 
 
-def test_the_score_of_the_editor_is_that_of_an_evaluation(service, browser):
+def test_the_score_of_the_lab_is_that_of_an_evaluation(service, browser):
     voxels = service.evaluate({"designs": [DESIGN]}).json()["results"][0]
-    browser.open("editor?voxels=" + voxels["genotype"])
+    browser.open("lab?voxels=" + voxels["genotype"])
     browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
     text = browser.texts("main p.result")[0]
-    assert text.startswith(f"score {voxels['score']:.4f} over ten environments, 4 voxels")
+    assert text.startswith(f"score {voxels['score']:.4f} ↓ lower is better\nReach the light, mean over "
+                           "the ten worlds of paper-test\n4 voxels")
 
 
 def test_editing_by_keyboard(service, browser):
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.keys import Keys
-    browser.open("editor?voxels=" + "1" + "0" * 143)
+    browser.open("lab?voxels=" + "1" + "0" * 143)
     browser.until_walking()
     browser.run("document.querySelector('[data-cell=\"0,0,0\"]').focus()")
     ActionChains(browser.driver).send_keys(Keys.ARROW_RIGHT, Keys.SPACE).perform()
@@ -137,7 +138,7 @@ def test_editing_by_keyboard(service, browser):
     assert "voxels=1" in browser.driver.current_url
 
 
-def test_what_the_editor_reads(browser):
+def test_what_the_lab_reads(browser):
     """Arrays of EvoGym become two voxels deep; cells, digits and ids are read unchanged."""
     browser.open("designs")
     read = browser.driver.execute_async_script("""
@@ -169,8 +170,8 @@ def test_what_the_editor_reads(browser):
     assert "for rows of EvoGym write array" in read[10] and "0.3 is neither" in read[11]
 
 
-def test_what_the_editor_does(service, browser):
-    browser.open("editor?voxels=" + "1" + "0" * 143)
+def test_what_the_lab_does(service, browser):
+    browser.open("lab?voxels=" + "1" + "0" * 143)
     browser.until_walking()
     voxels = "new URLSearchParams(location.hash.split('?')[1]).get('voxels')"
     browser.click("Import")
@@ -295,9 +296,9 @@ def test_links_carry_the_orientation(service, browser):
     browser.until_walking()
     assert browser.texts("main h1 + code") == [robot]
     links = browser.run("return [...document.querySelectorAll('main a')].map((a) => a.hash)")
-    assert {f"#/editor?design={robot}", f"#/stage?designs={robot}",
+    assert {f"#/lab?design={robot}", f"#/stage?designs={robot}",
             f"#/designs/{robot}"} <= set(links)
-    browser.open("editor?design=" + robot)
+    browser.open("lab?design=" + robot)
     genotype = service.get(f"/v1/designs/{robot}/body")["genotype"]
     cells = [f"{v // 24},{v // 4 % 6},{v % 4}" for v in range(144) if genotype[v] == "1"]
     selected = "[...document.querySelectorAll('[aria-selected=true]')]"
@@ -339,11 +340,11 @@ def test_chosen_champions_found_a_campaign(service, browser):
     assert bred(service, browser, "of champions") == sorted((best["id"], other["id"]))
 
 
-def test_bodies_of_the_editor_and_robots_of_the_stage_found_campaigns(service, browser):
+def test_bodies_of_the_lab_and_robots_of_the_stage_found_campaigns(service, browser):
     results = service.evaluate({"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]}).json()
     ids = sorted(result["id"] for result in results["results"])
     scored = "/^score/.test(document.querySelector('main p.result').textContent)"
-    browser.open("editor?voxels=" + results["results"][0]["genotype"])
+    browser.open("lab?voxels=" + results["results"][0]["genotype"])
     browser.until(scored)
     browser.click("Keep")
     browser.click("Import")
@@ -351,7 +352,7 @@ def test_bodies_of_the_editor_and_robots_of_the_stage_found_campaigns(service, b
                 "document.querySelector('dialog form').requestSubmit()", "[[3, 3, 1], [3, 4, 1]]")
     browser.until(scored)  # the same form as the second, elsewhere and turned
     browser.click("Keep")
-    assert bred(service, browser, "of the editor", "Breed") == ids
+    assert bred(service, browser, "of the Lab", "Breed") == ids
     browser.open("stage?designs=" + ",".join(ids))
     browser.until_walking()
     assert bred(service, browser, "of the stage") == ids
@@ -440,7 +441,7 @@ COPIED = [
     "overview", "runs?kind=campaign&search=walkers&state=succeeded", "campaigns/{campaign}",
     "campaigns/{campaign}/phylogeny", "campaigns/{campaign}/replicates", "trainings",
     "trainings/{training}", "designs", "designs?evaluation={evaluation}", "designs/{design}",
-    "controllers", "editor", "compare?designs={robots}"
+    "controllers", "lab", "compare?designs={robots}"
 ]
 
 
@@ -612,13 +613,13 @@ def test_empty_and_wrong_places(start, browser):
     running = start()
     browser.base, before = f"http://{running.host}:{running.port}/", browser.base
     try:
-        browser.open("editor")
+        browser.open("lab")
         for view, text in STATES.items():
             browser.run("location.hash = '#/' + arguments[0]", view)
             browser.until(f"document.querySelector('main').innerText.includes({text!r})")
             assert [fault for fault in browser.faults() if "status of 4" not in fault] == []
         running.stop(9)
-        for view in ("campaigns", "editor", "stage", "controllers", "designs", ""):
+        for view in ("campaigns", "lab", "stage", "controllers", "designs", ""):
             browser.run("location.hash = '#/' + arguments[0]", view)
             browser.until("['main', '.banner'].every((selector) => /cannot be reached/"
                           ".test(document.querySelector(selector).innerText))")

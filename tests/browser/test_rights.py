@@ -50,7 +50,7 @@ def shown(browser, view, token=None):
 
 def test_who_may_only_look(guarded, page):
     """No page has a button that writes; each shows the reason, and the name as text."""
-    views = ("overview", "", "campaigns", f"campaigns/{guarded.campaign}", "trainings", "editor",
+    views = ("overview", "", "campaigns", f"campaigns/{guarded.campaign}", "trainings", "lab",
              "designs")
     seen = set()
     for i, view in enumerate(views):

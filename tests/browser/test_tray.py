@@ -75,7 +75,7 @@ def test_a_robot_has_one_name_everywhere(service, browser):
     browser.until(f"document.querySelector('main h1')?.innerText === '{name}'")
     browser.open(f"stage?designs={best['robot']},{'f' * 36}@0")
     browser.until(f"document.querySelector('.tag')?.innerText.includes('{name}')")
-    browser.open(f"editor?design={best['robot']}")
+    browser.open(f"lab?design={best['robot']}")
     browser.until(f"document.querySelector('p.result')?.innerText.includes('{name}')")
     assert browser.faults() == []
 
@@ -141,14 +141,14 @@ def test_the_tray_is_filled_on_other_pages(service, browser):
     browser.until_walking()
     browser.click("Add to tray")
     browser.until(f"{CHIPS} === 3 || {CHIPS} === 2")  # design 3 may be the champion
-    # In the editor, a robot of the tray is edited, and that can be undone.
-    browser.run("location.hash = '#/editor?voxels=' + arguments[0]", "1" + "0" * 143)
+    # In the Lab, a robot of the tray is edited, and that can be undone.
+    browser.run("location.hash = '#/lab?voxels=' + arguments[0]", "1" + "0" * 143)
     browser.until("document.querySelectorAll('[aria-selected=true]').length === 1")
     browser.run("[...document.querySelectorAll('#tray .robot')].at(-1).click()")
     browser.until("document.querySelectorAll('[aria-selected=true]').length === 144")
     browser.click("Undo")
     browser.until("document.querySelectorAll('[aria-selected=true]').length === 1")
-    # On any other page the editor opens with it.
+    # On any other page the Lab opens with it.
     browser.run("location.hash = '#/machines'")
     browser.until("document.querySelector('h1')?.innerText === 'Machines'")
     browser.run("[...document.querySelectorAll('#tray .robot')].at(-1).click()")
@@ -157,7 +157,7 @@ def test_the_tray_is_filled_on_other_pages(service, browser):
 
 
 def test_files_of_the_tray(service, browser):
-    browser.open("editor?voxels=" + "1" + "0" * 143)
+    browser.open("lab?voxels=" + "1" + "0" * 143)
     browser.click("Import")
     browser.run("document.querySelector('dialog textarea').value = arguments[0];"
                 "document.querySelector('dialog form').requestSubmit()",

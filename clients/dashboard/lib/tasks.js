@@ -112,7 +112,7 @@ export const betterOf = (unit) => (unit === 'm' || unit === 'm/kJ' ? '↑ higher
 
 /** Describes the worlds in which pages score a task. */
 export const worldWords = ({ set, environments }) => (set ? `mean over the ten worlds of ${set}`
-  : environments.length > 1 ? `mean over ${countOf(environments.length, 'world')}` : 'in one world');
+  : environments.length === 1 ? 'in one world' : `mean over ${environments.length} worlds`);
 
 /**
  * Describes a loss of the task `photo`, which is the distance to the light at the end over that at

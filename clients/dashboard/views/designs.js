@@ -8,6 +8,7 @@ import { ago, countOf, scoreBy, scoreOf, shellWord, voxels as inVoxels } from '.
 import { nameOf, shortOf } from '../lib/names.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
+import { TASKS } from '../lib/tasks.js';
 import { Player } from '../stage/player.js';
 import { trayButton } from './add.js';
 import { breedButton } from './forms.js';
@@ -37,13 +38,16 @@ async function mountBoard(main, parameters, app) {
   if (!controllers.includes(controller)) {
     throw new LinkError(`controller=${controller}: no controller has this name.`);
   }
+  // Only scores in a named set are ranked.
+  const task = app.task.set ? app.task : TASKS[0];
+  const set = task === TASKS[0] ? null : task.set;
   const wall = new Wall(app);
   const foot = h('div.row');
   const panel = h('section.panel', { 'aria-label': 'Leaderboard' }, wall.element);
   let cursor;
 
-  const asked = () =>
-    ({ ...ORDERS[order], controller: ORDERS[order].sort === 'score' ? controller : null });
+  const asked = () => ({ ...ORDERS[order],
+    ...(ORDERS[order].sort === 'score' ? { controller, environments: set } : {}) });
   const given = () => Object.entries(asked()).filter(([, value]) => value);
 
   async function more(limit = PAGE) {
@@ -56,12 +60,14 @@ async function mountBoard(main, parameters, app) {
     app.remember({ shown });
     fill(foot, cursor === null ? null : button('Show more', () => announced(more)),
       h('span.muted', {}, shown ? `${countOf(shown, 'design')} shown`
+        : set ? `No design has a score in ${set} with this controller yet. An evaluation in this ` +
+          'set computes scores.'
         : 'No design has a score with this controller yet. Evaluations and campaigns compute ' +
           'scores; start one on the page Runs.'));
   }
 
   async function again(limit = PAGE) {
-    wall.options = controller === 'default' ? {} : { controller };
+    wall.options = { ...(controller !== 'default' && { controller }), ...(set && { set }) };
     cursor = undefined;
     wall.element.replaceChildren();
     app.keep({ controller, order });
@@ -69,7 +75,9 @@ async function mountBoard(main, parameters, app) {
   }
 
   main.replaceChildren(h('div.title', {}, h('h1', {}, 'Designs'),
-    h('span.muted', {}, 'score: mean over the ten environments of paper-test; lower is better'),
+    h('span.muted', {}, task === app.task ? '' : `${app.task.title} has no set of worlds to rank ` +
+      'designs in. ', `${task.title}: score, the mean ` +
+      `loss over the ten worlds of ${task.set}; lower is better`),
     h('div.actions', {},
     select('Order', Object.keys(ORDERS).map((key) => [key, `${key} first`]), order, (value) => {
       order = value;

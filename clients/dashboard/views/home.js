@@ -7,12 +7,11 @@ import { coalesced, isNews } from '../lib/events.js';
 import { countOf, score, voxels } from '../lib/format.js';
 import { nameOf, shortOf } from '../lib/names.js';
 import { may } from '../lib/rights.js';
-import { environmentSet, roll, scoresOf } from '../lib/rollouts.js';
-import { wayOf } from '../lib/tasks.js';
+import { roll, scoresOf, worldsOf } from '../lib/rollouts.js';
+import { TASKS, betterOf, resultOf, wayOf, worldWords } from '../lib/tasks.js';
 import { Player } from '../stage/player.js';
 
-/** The set of environments of the leaderboard, and the one in which the robot walks here. */
-const SET = 'paper-test';
+/** The world of the task in which the robot walks here, if there are so many. */
 const SHOWN = 3;
 /** So many of the best are on the stage. */
 const STAGED = 4;
@@ -39,7 +38,16 @@ export async function mount(main, path, parameters, app) {
   const stop = new AbortController();
   const { signal } = stop;
   const get = (url) => getJson(url, { signal });
-  const listBest = (limit) => get(withQuery('v1/designs', { sort: 'score', limit }));
+  const { task } = app;
+  const isPhoto = task === TASKS[0];
+  /** The best in this task, or else those that reach the light: {items, isOwn}. */
+  async function listBest(limit) {
+    const list = async (environments) =>
+      (await get(withQuery('v1/designs', { sort: 'score', limit, environments }))).items;
+    const own = task.set ? await list(isPhoto ? null : task.set) : [];
+    if (own.length || isPhoto) return { items: own, isOwn: true };
+    return { items: await list(null), isOwn: false };
+  }
   const about = h('section.about', { 'aria-label': 'The robot' });
   const notes = h('div.muted');
   const better = button('', () => showBest(), { hidden: true });
@@ -52,53 +60,62 @@ export async function mount(main, path, parameters, app) {
         h('span', {}, 'Draw a body. It walks and is scored after every click.')),
       evolveDoor(app), staged), notes)), health);
 
-  const [{ items }, environments] =
-    await Promise.all([listBest(STAGED), environmentSet(SET)]);
+  const [best, environments] = await Promise.all([listBest(STAGED), worldsOf(task)]);
+  const place = Math.min(SHOWN, environments.length - 1);
   let shown; // the robot on the stage
   /** @type {Player} */
   let player;
 
   /** Describes the robot, its score, and its result in the world shown, once these are known. */
-  function describe(robot, isShipped, loss, here) {
+  function describe(robot, { isShipped = false, isOwn }, scored, here) {
     const n = cellsOf(genotypeOfId(robot)).length;
     const origin = isShipped
       ? 'No design in this store has a score yet. This robot ships with morphod; it comes from ' +
         'the reproduction of the paper.'
-      : 'The best score in this store, with the default controller.';
-    const [figure, rest] = loss === undefined ? [] : wayOf(loss);
+      : isOwn ? `The best score in this store${isPhoto ? '' : ' in this task'}, with the default ` +
+        'controller.'
+      : 'This store has no scores in this task. This robot is the best of the store at reaching ' +
+        'a light; its score here was just computed.';
     const link = isShipped ? `#/lab?voxels=${genotypeOfId(robot)}` : `#/designs/${robot}`;
+    const [figure, rest] = !scored ? [] : isPhoto ? wayOf(scored.mean)
+      : [resultOf({ ...scored, loss: scored.mean }), `: ${task.title}`];
     fill(about, h('h2', {}, h('a', { href: link, title: robot }, nameOf(robot))),
       h('p.muted', {}, h('code', {}, shortOf(robot)), `, ${voxels(n)}`),
-      h('p.way', {}, loss === undefined ? 'Scoring…' : [h('strong', {}, figure), rest]),
-      loss === undefined ? null : h('p.muted', {}, `Score ${score(loss)}: the distance to the ` +
-        'light after 4 s, divided by the distance at the start, averaged over ten environments. ' +
-        '0 means that it reached the light, 1 that it got no closer; lower is better.'));
+      h('p.way', {}, scored ? [h('strong', {}, figure), rest] : 'Scoring…'),
+      !scored ? null : h('p.muted', {}, isPhoto
+        ? `Score ${score(scored.mean)}: the distance to the ` +
+          'light after 4 s, divided by the distance at the start, averaged over ten ' +
+          'environments. 0 means that it reached the light, 1 that it got no closer; lower is ' +
+          'better.'
+        : `Score: ${worldWords(task)}; ${betterOf(scored.unit)}.`));
     fill(notes, h('p', {}, origin), here === undefined ? null
-      : h('p', {}, 'In the environment shown: ', wayOf(here).join('').replace(/\.?$/, '.')));
+      : h('p', {}, 'In the environment shown: ', isPhoto
+        ? wayOf(here.loss).join('').replace(/\.?$/, '.') : `${resultOf(here)}.`));
   }
 
-  async function show(robots, isShipped, loss) {
+  async function show(robots, origin, scored) {
     const [robot] = robots;
     shown = robot;
     better.hidden = true;
-    describe(robot, isShipped, loss);
-    staged.href = `#/stage?designs=${robots.join(',')}&environment=${SHOWN}`;
+    describe(robot, origin, scored);
+    staged.href = `#/stage?designs=${robots.join(',')}` +
+      `&environment=${task.set ? place : SHOWN}` + (isPhoto || !task.set ? '' : `&set=${task.set}`);
     fill(staged, h('strong', {}, 'Watch the best'), h('span', {},
       robots.length === 1 ? 'On a full-page stage.'
         : `The ${COUNTS[robots.length]} best, side by side or racing, on a full-page stage.`));
     const design = { id: robot };
-    const computed = roll([design], environments[SHOWN], { signal });
+    const computed = roll([design], environments[place], { signal });
     computed.catch(() => {}); // awaited below
     player ??= addPlayer(); // the service computes while the stage is set up
     const [walking] = await computed;
     if (shown !== robot) return;
     player.setRobots([{ ...walking, label: nameOf(robot) }]);
     player.names.hidden = true; // the page says more about it
-    describe(robot, isShipped, loss, walking.loss);
-    if (loss !== undefined) return;
+    describe(robot, origin, scored, walking);
+    if (scored) return;
     await new Promise(requestAnimationFrame); // ten rollouts would delay its first frame
-    const { mean } = await scoresOf(design, SET, { signal });
-    if (shown === robot) describe(robot, isShipped, mean, walking.loss);
+    const all = await scoresOf(design, task.set ?? environments, { signal });
+    if (shown === robot) describe(robot, origin, all, walking);
   }
 
   function addPlayer() {
@@ -112,12 +129,14 @@ export async function mount(main, path, parameters, app) {
     if (!signal.aborted) player?.setNote(error.message);
   });
 
-  function showAll(best) {
-    return said(best.length ? show(best.map((one) => one.robot), false, best[0].score)
-      : show(SHIPPED, true));
+  function showAll({ items, isOwn }) {
+    if (!items.length) return said(show(SHIPPED, { isShipped: true }));
+    // In other tasks, the values are not stored with the scores.
+    return said(show(items.map((one) => one.robot), { isOwn },
+      isPhoto ? { mean: items[0].score } : undefined));
   }
 
-  const showBest = () => said(listBest(STAGED).then((page) => showAll(page.items)));
+  const showBest = () => said(listBest(STAGED).then(showAll));
 
   const jobs = h('span.jobs');
   const state = h('span.state');
@@ -148,14 +167,17 @@ export async function mount(main, path, parameters, app) {
 
   /** Offers a robot that has become the best; the one that walks stays until then. */
   async function offerBetter() {
-    const { items: [best] } = await listBest(1);
-    better.hidden = !best || best.robot === shown;
-    if (best) say(better, `A new best: ${nameOf(best.robot)}, score ${score(best.score)}. Show it`);
+    const { items: [first] } = await listBest(1);
+    better.hidden = !first || first.robot === shown;
+    if (first) {
+      say(better, `A new best: ${nameOf(first.robot)}${isPhoto ? `, score ${score(first.score)}`
+        : ''}. Show it`);
+    }
   }
 
   const refresh = coalesced(() => showHealth(), signal, PAUSE_MS);
   const look = coalesced(() => offerBetter(), signal, PAUSE_MS);
-  showAll(items).then(showHealth).catch(() => {}); // it is retried
+  showAll(best).then(showHealth).catch(() => {}); // it is retried
   const timer = setInterval(() => { if (!document.hidden) refresh(); }, POLL_MS);
   return {
     update({ type }) {

@@ -165,7 +165,8 @@ export async function mount(main, path, parameters, app) {
     const words = set === 'paper-test' ? '' : ` --environments ${set ?? '-'}`;
     return {
       path: 'v1/evaluations', headers: ['Prefer: wait=30'],
-      body: { designs: [{ voxels: genotype }], ...(words && { environments: set ?? environments }) },
+      body: { designs: [{ voxels: genotype }],
+        ...(words && { environments: set ?? environments }) },
       morphoctl: `eval ${genotype}${words}`, input: set ? '' : JSON.stringify(environments),
       python: `print(m.evaluate(["${genotype}"]${words && `, ${pythonOf(set ?? environments)}`})` +
         '.frame())',
@@ -181,8 +182,8 @@ export async function mount(main, path, parameters, app) {
 
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Lab'),
-      h('span.muted.keys', {}, 'build at the left, watch at the right: click a face to add a voxel, ' +
-        'Shift+click to remove it, or drag over the layers to paint'),
+      h('span.muted.keys', {}, 'build at the left, watch at the right: click a face to add a ' +
+        'voxel, Shift+click to remove it, or drag over the layers to paint'),
       h('div.actions', {}, button('Import', importBody), copyButton(commands))),
     h('div.grid.lab', {}, h('section.panel.stack', { 'aria-label': 'Build' },
       h('div.row', {}, undo, redo, toggle('Mirror x', false, (on) => {
@@ -190,10 +191,11 @@ export async function mount(main, path, parameters, app) {
         if (on) change(mirror(genotype, 0));
       }), button('Random', grow), button('Mutate', mutate), crossing,
       button('Keep', keep, { title: 'Add to the tray' })),
-      looseRow, h('div.build', {}, shape.element, cells.element),
+      h('div.build', {}, shape.element, cells.element),
       h('span.pad', { role: 'group', 'aria-label': 'Shift' }, h('span.muted', {}, 'Shift'),
         move('←', [-1, 0, 0]), move('→', [1, 0, 0]), move('↑', [0, 1, 0]),
-        move('↓', [0, -1, 0]), move('up', [0, 0, 1]), move('down', [0, 0, -1]))),
+        move('↓', [0, -1, 0]), move('up', [0, 0, 1]), move('down', [0, 0, -1])),
+      looseRow), // last, so that the cells stay under the pointer when it appears
     h('section.panel.flush.watch', { 'aria-label': 'Stage' }, walk.player.element, walk.result)));
   offer();
   tray.listeners.add(offer);

@@ -27,7 +27,7 @@ export class Shape {
     this.removes = false;
     this.faces = svg('g');
     this.ghost = svg('g', { class: 'ghost' });
-    this.picture = svg('svg', { class: 'voxels shape', viewBox: '-4.6 -4.3 9.2 8.2', role: 'img' },
+    this.picture = svg('svg', { class: 'voxels shape', viewBox: '-4.5 -4.25 9 7.8', role: 'img' },
       // Loose voxels are hatched, which is seen without colors, too.
       svg('pattern', { id: 'hatch', width: 0.25, height: 0.25, patternUnits: 'userSpaceOnUse',
         patternTransform: 'rotate(45)' }, svg('path', { d: 'M0 0V1' })), this.faces, this.ghost);
@@ -86,7 +86,8 @@ export class Shape {
     const [up, level] = [Math.cos(this.pitch), Math.sin(this.pitch)];
     const corners = FACE_CORNERS[side].map((c) => {
       const [u, v, w] = [x + (c >> 2) - 3, y + ((c >> 1) & 1) - 3, z + (c & 1) - 1.5];
-      return `${(u * cos + v * sin).toFixed(3)} ${((u * sin - v * cos) * level - w * up).toFixed(3)}`;
+      return [u * cos + v * sin, (u * sin - v * cos) * level - w * up].map((n) => n.toFixed(3))
+        .join(' ');
     });
     return `M${corners.join('L')}Z`;
   }

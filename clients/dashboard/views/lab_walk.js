@@ -48,7 +48,8 @@ export class Walk {
       ? `Still walking: ${this.name}, the last body in one piece`
       : 'Nothing walks: the body is not in one piece');
     if (loose) {
-      result.textContent = `${size}; no score, because it is not in one piece`;
+      result.textContent = `${size}; no score: ${loose === 1 ? 'one voxel is' :
+        `${loose} voxels are`} loose`;
       return;
     }
     const design = { voxels: genotype };
