@@ -229,18 +229,18 @@ class Frame {
     };
     app.themeListeners.add(nameTheme);
     nameTheme();
-    this.task = select('Task', TASKS.map(({ name, title }) => [name, title]), app.task.name,
+    this.taskField = select('Task', TASKS.map(({ name, title }) => [name, title]), app.task.name,
       (name) => {
         setTask(TASKS.find((task) => task.name === name));
         if (this.view?.turnTask) this.view.turnTask();
         else this.route();
       });
-    this.task.classList.add('inline');
+    this.taskField.classList.add('inline');
     this.caller = h('span.muted.caller');
     this.note = h('div.note', { role: 'note', hidden: true });
     fill(document.getElementById('frame'), h('header.bar', {}, home,
       h('nav', { 'aria-label': 'Views' }, others.map(([, link]) => link)),
-      h('div.side', {}, this.caller, this.task, theme)), this.banner, this.note, this.main);
+      h('div.side', {}, this.caller, theme)), this.banner, this.note, this.main);
     connection.listeners.add((up) => this.#tell(up));
     document.getElementById('skip').addEventListener('click', (event) => {
       event.preventDefault();
@@ -294,16 +294,17 @@ class Frame {
       link.scrollIntoView({ block: 'nearest', inline: 'nearest' });
     }
     if (!entry) {
-      this.task.hidden = true;
+      this.#offerTasks(false);
       this.#say('There is no such page', HOME());
       if (isMove) this.#arrive();
       return;
     }
     const turn = (this.turn = (this.turn ?? 0) + 1);
     fill(this.main, h('p.muted', { role: 'status' }, 'Loading…'));
-    this.task.hidden = !entry.hasTask || rest.length > 0;
+    const hasTask = entry.hasTask && !rest.length;
+    this.#offerTasks(hasTask);
     try {
-      if (!this.task.hidden) this.#takeTask(parameters.get('task'));
+      if (hasTask) this.#takeTask(parameters.get('task'));
       const [{ mount }] = await Promise.all([load(entry.module), this.#followEvents(),
         this.#identify()]);
       if (turn !== this.turn) return;
@@ -345,6 +346,12 @@ class Frame {
     }
   }
 
+  /** Shows the choice of a task where scores follow it. */
+  #offerTasks(on) {
+    if (on) this.caller.after(this.taskField);
+    else this.taskField.remove();
+  }
+
   /** Uses the task of a link; a link without one has the task of this tab from now on. */
   #takeTask(name) {
     const task = name === null ? app.task : TASKS.find((one) => one.name === name);
@@ -353,7 +360,7 @@ class Frame {
         `${TASKS.map((one) => one.name).join(', ')} is expected.`);
     }
     setTask(task);
-    this.task.querySelector('select').value = task.name;
+    this.taskField.querySelector('select').value = task.name;
   }
 
   /** Shows a heading with a few words instead of a view. */

@@ -29,24 +29,40 @@ def array(name: str, data: bytes) -> list[str]:
     return [f"static const unsigned char {name}[] = {{", *(row + "," for row in rows), "};"]
 
 
+# Code without an open string, and the comment after it.
+TRAILING = re.compile(r"""((?:[^'"]|'(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*")*?\S) +// .*""")
+
+
 def without_comments(name: str, text: str) -> str:
-    """Empties the lines that have nothing but a comment, and removes indentation. The latter must
-    mean nothing in a template literal, either; lines keep their numbers."""
-    lines, inside = [], False
+    """Removes comments that begin a line, or that end a line of JavaScript outside of template
+    literals, and indentation. The latter must mean nothing in a template literal, either; lines
+    keep their numbers."""
+    lines, inside, template = [], False, False
     for number, line in enumerate(text.split("\n"), 1):
         bare = line.strip()
         begins = not inside and bare.startswith("/*") and not re.search(r"\*/.", bare)
         if (inside or begins) and re.search(r"\*/.", bare):
             raise SystemExit(f"{name}:{number}: code follows a comment that has lines of its own")
-        empty = inside or begins or (name.endswith(".js") and bare.startswith("//"))
-        lines.append("" if empty else bare)
+        script = name.endswith(".js")
+        empty = inside or begins or (script and bare.startswith("//"))
         inside = (inside or begins) and not bare.endswith("*/")
+        if script and not empty and not template and "`" not in bare:
+            found = TRAILING.fullmatch(bare)
+            bare = found[1] if found else bare
+        template ^= not empty and bare.count("`") % 2 == 1
+        lines.append("" if empty else bare)
     return "\n".join(lines)
+
+
+def without_spaces(styles: str) -> str:
+    """Removes spaces that mean nothing in a style sheet whose strings have none of these signs."""
+    return re.sub(r" ?([{};,]) ?|(?<=:) ", r"\1", styles)
 
 
 def content(path: pathlib.Path) -> bytes:
     if path.suffix in (".js", ".css"):
-        return without_comments(path.name, path.read_text(encoding="utf-8")).encode()
+        text = without_comments(path.name, path.read_text(encoding="utf-8"))
+        return (without_spaces(text) if path.suffix == ".css" else text).encode()
     return path.read_bytes()
 
 

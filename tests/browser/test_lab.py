@@ -271,7 +271,7 @@ def test_the_task_of_the_bar(service, browser):
     assert "This store has no scores in this task" in browser.texts(".home")[0]
     browser.run("location.hash = '#/machines'")
     browser.until("document.querySelector('h1')?.innerText === 'Machines'")
-    assert not browser.run("return document.querySelector('header select').offsetParent")
+    assert browser.run("return document.querySelector('header select')") is None
     browser.open("lab?task=efficient&voxels=" + bar)
     browser.until(SCORED)
     assert "m/kJ ↑ higher is better" in browser.texts(".result")[0]

@@ -277,7 +277,7 @@ def test_the_leaderboard_from_both_ends(service, browser):
     browser.open("designs")
     cards = "[...document.querySelectorAll('.card strong')].map((e) => e.innerText).join(' ')"
     for order, expected in (("best", reported), ("worst", reported[::-1])):
-        browser.run("const order = document.querySelector('select'); order.value = arguments[0];"
+        browser.run("const order = document.querySelector('main select'); order.value = arguments[0];"
                     "order.dispatchEvent(new Event('change'))", order)
         browser.until(f"{cards} === {' '.join(expected[:48])!r}")  # a page
         assert f"order={order}" in browser.driver.current_url
