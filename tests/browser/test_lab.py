@@ -252,7 +252,7 @@ def test_the_task_of_the_bar(service, browser):
     value = sum(row["value"] for row in rows) / len(rows)
     digits = 3 if abs(value) < 0.995 else 2
     text = browser.texts(".result")[0]
-    assert text.startswith(f"score {value:.{digits}f} m ↑ higher is better\nWalk, mean over the ten")
+    assert text.startswith(f"score {value:.{digits}f} m ↑ higher is better\nWalk, mean over the")
     assert "task=walk" in browser.driver.current_url
     browser.click("Keep")
     kept = json.loads(browser.run("return sessionStorage.getItem('morphod-tray')"))

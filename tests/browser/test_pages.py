@@ -122,8 +122,8 @@ def test_the_score_of_the_lab_is_that_of_an_evaluation(service, browser):
     browser.open("lab?voxels=" + voxels["genotype"])
     browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
     text = browser.texts("main p.result")[0]
-    assert text.startswith(f"score {voxels['score']:.4f} ↓ lower is better\nReach the light, mean over "
-                           "the ten worlds of paper-test\n4 voxels")
+    assert text.startswith(f"score {voxels['score']:.4f} ↓ lower is better\nReach the light, mean "
+                           "over the ten worlds of paper-test\n4 voxels")
 
 
 def test_editing_by_keyboard(service, browser):
@@ -277,8 +277,8 @@ def test_the_leaderboard_from_both_ends(service, browser):
     browser.open("designs")
     cards = "[...document.querySelectorAll('.card strong')].map((e) => e.innerText).join(' ')"
     for order, expected in (("best", reported), ("worst", reported[::-1])):
-        browser.run("const order = document.querySelector('main select'); order.value = arguments[0];"
-                    "order.dispatchEvent(new Event('change'))", order)
+        browser.run("const order = document.querySelector('main select');"
+                    "order.value = arguments[0]; order.dispatchEvent(new Event('change'))", order)
         browser.until(f"{cards} === {' '.join(expected[:48])!r}")  # a page
         assert f"order={order}" in browser.driver.current_url
 

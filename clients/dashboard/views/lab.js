@@ -191,7 +191,7 @@ export async function mount(main, path, parameters, app) {
         if (on) change(mirror(genotype, 0));
       }), button('Random', grow), button('Mutate', mutate), crossing,
       button('Keep', keep, { title: 'Add to the tray' })),
-      h('div.build', {}, shape.element, cells.element),
+      shape.element, cells.element,
       h('span.pad', { role: 'group', 'aria-label': 'Shift' }, h('span.muted', {}, 'Shift'),
         move('←', [-1, 0, 0]), move('→', [1, 0, 0]), move('↑', [0, 1, 0]),
         move('↓', [0, -1, 0]), move('up', [0, 0, 1]), move('down', [0, 0, -1])),

@@ -44,7 +44,7 @@ export class Cells {
         return made;
       })));
     return h('fieldset.layer', {},
-      h('legend', {}, z === 0 ? 'layer 0, on the ground' : `layer ${z}`),
+      h('legend', {}, z === 0 ? 'layer 0: ground' : `layer ${z}`),
       h('div.cells', { role: 'grid', 'aria-label': `Layer ${z}` }, rows));
   }
 
