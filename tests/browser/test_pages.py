@@ -441,7 +441,8 @@ COPIED = [
     "overview", "runs?kind=campaign&search=walkers&state=succeeded", "campaigns/{campaign}",
     "campaigns/{campaign}/phylogeny", "campaigns/{campaign}/replicates", "trainings",
     "trainings/{training}", "designs", "designs?evaluation={evaluation}", "designs/{design}",
-    "controllers", "lab", "compare?designs={robots}"
+    "controllers", "lab", "lab?task=walk", "lab?task=jump", "designs?task=circle",
+    "compare?designs={robots}"
 ]
 
 

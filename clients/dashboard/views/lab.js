@@ -201,10 +201,13 @@ export async function mount(main, path, parameters, app) {
   tray.listeners.add(offer);
   document.addEventListener('keydown', onKey);
   walk.show(genotype, draw());
-  const again = () => walk.show(genotype, looseOf(genotype).length);
+  const again = () => announced(async () => {
+    await walk.prepare();
+    if (!isClosed) walk.show(genotype, looseOf(genotype).length);
+  });
   return {
     pick: change,
-    turnTask: () => announced(() => walk.prepare().then(again)),
+    turnTask: again,
     update({ type }) {
       if (type === 'reset') again(); // the service was unavailable, so there is no score
     },
