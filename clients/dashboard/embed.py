@@ -29,14 +29,25 @@ def array(name: str, data: bytes) -> list[str]:
     return [f"static const unsigned char {name}[] = {{", *(row + "," for row in rows), "};"]
 
 
+STRING = r"""'(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*\""""
 # Code without an open string, and the comment after it.
-TRAILING = re.compile(r"""((?:[^'"]|'(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*")*?\S) +// .*""")
+TRAILING = re.compile(rf"""((?:[^'"]|{STRING})*?\S) +// .*""")
+SIGN = re.compile(r" ?(=>|[=!]==|\?\?=?|\|\||&&|[={},?:()\[\];]) ?")
+
+
+def shortened(line: str) -> str:
+    """Removes the comment at the end of a line of JavaScript, and the spaces around signs unless a
+    slash, which may begin a regular expression, is among them."""
+    found = TRAILING.fullmatch(line)
+    parts = re.split(f"({STRING})", found[1] if found else line)
+    if not any("/" in code for code in parts[::2]):
+        parts[::2] = [SIGN.sub(r"\1", code) for code in parts[::2]]
+    return "".join(parts)
 
 
 def without_comments(name: str, text: str) -> str:
-    """Removes comments that begin a line, or that end a line of JavaScript outside of template
-    literals, and indentation. The latter must mean nothing in a template literal, either; lines
-    keep their numbers."""
+    """Removes comments and spaces that mean nothing, if that is easy to see: outside of template
+    literals. Indentation must mean nothing there, either. Lines keep their numbers."""
     lines, inside, template = [], False, False
     for number, line in enumerate(text.split("\n"), 1):
         bare = line.strip()
@@ -47,8 +58,7 @@ def without_comments(name: str, text: str) -> str:
         empty = inside or begins or (script and bare.startswith("//"))
         inside = (inside or begins) and not bare.endswith("*/")
         if script and not empty and not template and "`" not in bare:
-            found = TRAILING.fullmatch(bare)
-            bare = found[1] if found else bare
+            bare = shortened(bare)
         template ^= not empty and bare.count("`") % 2 == 1
         lines.append("" if empty else bare)
     return "\n".join(lines)
@@ -56,7 +66,7 @@ def without_comments(name: str, text: str) -> str:
 
 def without_spaces(styles: str) -> str:
     """Removes spaces that mean nothing in a style sheet whose strings have none of these signs."""
-    return re.sub(r" ?([{};,]) ?|(?<=:) ", r"\1", styles)
+    return re.sub(r"\s*([{};,])\s*|(?<=:) ", r"\1", styles)
 
 
 def content(path: pathlib.Path) -> bytes:
@@ -75,7 +85,7 @@ def modules_of(files: dict[str, bytes], name: str) -> set[str]:
             found.add(module)
             folder = posixpath.dirname(module)
             new += [posixpath.normpath(posixpath.join(folder, path)) for path in
-                    re.findall(r"^(?:import .*|} )from '(\..*)';$", files[module].decode(),
+                    re.findall(r"^(?:import.*|} ?)from '(\..*)';$", files[module].decode(),
                                re.MULTILINE)]
     return found
 
@@ -83,7 +93,7 @@ def modules_of(files: dict[str, bytes], name: str) -> set[str]:
 def preload(files: dict[str, bytes]) -> str:
     core = modules_of(files, "app.js")
     lines = [f'<link rel="modulepreload" href="@assets@/{name}">' for name in sorted(core)]
-    for view in re.findall(r"module: '\./(.*?)'", files["app.js"].decode()):
+    for view in re.findall(r"module: ?'\./(.*?)'", files["app.js"].decode()):
         names = " ".join(sorted(modules_of(files, view) - core))
         lines.append(f'<meta name="./{view}" content="{names}">')
     return "\n".join(lines)

@@ -159,6 +159,21 @@ def test_loose_voxels_are_marked(browser):
     assert browser.faults() == []
 
 
+def test_loose_voxels_differ_in_forced_colors(browser):
+    browser.open("lab?voxels=" + genotype((0, 0, 0), (1, 0, 0), (3, 0, 0)))
+    browser.until("document.querySelector('.cells .loose')")
+    media = {"features": [{"name": "forced-colors", "value": "active"}]}
+    browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    try:
+        looks = [browser.run("const { backgroundColor, borderTopStyle } = getComputedStyle("
+                             "document.querySelector(arguments[0]));"
+                             "return [backgroundColor, borderTopStyle]", cell(x, 0, 0))
+                 for x in (0, 3, 5)]  # a voxel, a loose one, an empty cell
+        assert looks[0][0] != looks[1][0] and looks[1][1] == "dashed" != looks[2][1]
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
 def face(browser, x, y, z, side):
     """Returns a place on a side of a voxel, or of the floor."""
     return middle(browser, f'[data-face="{x},{y},{z},{side}"]')
