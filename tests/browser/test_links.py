@@ -174,7 +174,8 @@ def test_a_design_is_found_in_a_phylogeny(service, browser):
     browser.until("document.querySelector('main h2')?.innerText.startsWith('#5 ')")
     assert browser.texts(".title .error") == [""]
     pixels = browser.pixels(".over")[:, :, 3]
-    assert (pixels[:-60] > 150).sum() > 40 * browser.ratio ** 2, "the mark of the design is not in sight"
+    marked = (pixels[:-60] > 150).sum()
+    assert marked > 40 * browser.ratio ** 2, "the mark of the design is not in sight"
     assert "of them ancestors" in browser.texts(".title")[0]
 
 
