@@ -7,7 +7,7 @@ import { resultOf } from '../lib/tasks.js';
 
 /** Modules of the stage, each after those that it imports. */
 const MODULES = ['stage/math.js', 'stage/camera.js', 'stage/gl.js', 'stage/shaders.js',
-  'stage/robot.js', 'stage/stage.js', 'lib/body.js'];
+  'stage/robot.js', 'stage/lanes.js', 'stage/stage.js', 'lib/body.js'];
 
 const STYLE = `
 html,body{margin:0;height:100%;background:#14171b;color:#e9edf2;font:15px system-ui,sans-serif}
@@ -28,16 +28,27 @@ const robots = DATA.robots.map((robot) => ({ ...robot, body: bodyOf(robot.genoty
 const canvas = document.querySelector('canvas');
 const stage = new Stage(canvas);
 stage.setRobots(robots);
-stage.sideBySide = robots.length > 1;
+stage.sideBySide = robots.length > 1 && !DATA.isRace;
 stage.aim();
+let apart = { ...stage.camera };
+const arrange = () => {
+  stage.isFramed = Boolean(stage.lanes());
+  stage.follow = !stage.isFramed;
+  if (stage.isFramed) apart = { ...stage.camera };
+  Object.assign(stage.camera, stage.isFramed ? { lens: LENS } : apart);
+};
+arrange();
 const [slider, play, side, springs] = ['time', 'play', 'side', 'springs']
   .map((id) => document.getElementById(id));
 slider.max = stage.durationS();
 let playing = !matchMedia('(prefers-reduced-motion: reduce)').matches;
 let before;
-driveCamera(canvas, stage.camera, () => {});
+driveCamera(canvas, stage.camera, () => { stage.isFramed = false; });
 play.onclick = () => { playing = !playing; };
-side.onclick = () => { stage.sideBySide = !stage.sideBySide; };
+side.onclick = () => {
+  stage.sideBySide = !stage.sideBySide;
+  arrange();
+};
 springs.onclick = () => {
   stage.show.springs = !stage.show.springs;
   stage.show.skin = !stage.show.springs;
@@ -84,15 +95,17 @@ const safe = (text) => text.replace(/<\//g, '<\\/').replace(/<!--/g, '<\\!--');
  * @param {import('../stage/stage.js').Robot[]} robots as the stage has them, with genotype and
  *   label
  * @param {string} title
+ * @param {boolean} isRace whether it begins as a race in lanes, not side by side
  */
-export async function toPage(robots, title) {
+export async function toPage(robots, title, isRace = false) {
   const base = new URL('..', import.meta.url);
   const load = async (name) => (await fetch(new URL(name, base))).text();
   const sources = await Promise.all(MODULES.map(load));
   const worlds = [...new Set(robots.map((robot) => robot.world))];
   const data = {
-    worlds: worlds.map(({ light, points, heights, spacing }) => ({
-      light: [...light], points, heights: [...heights], spacing,
+    isRace,
+    worlds: worlds.map(({ light, points, heights, spacing, task }) => ({
+      light: [...light], points, heights: [...heights], spacing, task,
     })),
     robots: robots.map(({
       genotype, label, loss, value, unit, driven, frames, frameS, color, track, lights, world,

@@ -42,9 +42,10 @@ export const recordingPath = (evaluation, row, environment) =>
 
 /** Returns the robots of recordings. @param {number[]} rows positions of designs in the
  * evaluation */
-export async function recorded(evaluation, rows, environment, signal) {
+export async function recorded(evaluation, rows, environment, signal, onmore) {
   const robots = [];
   for (const row of rows) {
+    if (robots.length) onmore([...robots]);
     const path = recordingPath(evaluation, row, environment);
     const response = await patient(() => request(path, { signal }));
     robots.push(...robotsOf(decodeScene(await response.arrayBuffer())));
@@ -55,8 +56,9 @@ export async function recorded(evaluation, rows, environment, signal) {
 /** The channels that the stage shows. */
 export const CHANNELS = ['masses', 'actuation', 'contacts'];
 
-/** Maximum of rollouts per request. */
-const ROLLOUTS_AT_ONCE = 16;
+/** Rollouts per request, and requests at once: robots come in groups, in their order. */
+const ROLLOUTS_AT_ONCE = 8;
+const REQUESTS_AT_ONCE = 2;
 const FRAME_S = 0.04;
 const STEP_S = 0.002;
 const STEPS = 2000;
@@ -65,24 +67,35 @@ const STEPS = 2000;
  * Simulates designs in one environment, and returns them for the stage in the same order.
  * @param {Object[]} designs {voxels} or {id}, as in any request
  * @param {Object} environment
- * @param {{controller?: string, physics?: Object, precision?: string, signal?: AbortSignal}}
- *   [options]
+ * @param {{controller?: string, physics?: Object, precision?: string, signal?: AbortSignal,
+ *   onmore?: function(Object[]): void}} [options] onmore: gets the robots so far, if more will come
  */
 export async function roll(designs, environment, options = {}) {
-  const { controller = 'default', physics, precision, signal } = options;
+  const { controller = 'default', physics, precision, signal, onmore } = options;
   const { dt_s: stepS = STEP_S, n_steps: steps = STEPS } = physics ?? {};
-  const robots = [];
-  for (let i = 0; i < designs.length; i += ROLLOUTS_AT_ONCE) {
+  async function group(from) {
     const response = await patient(() => request('v1/rollouts', {
       method: 'POST', signal,
       headers: { Accept: 'application/vnd.morphod.scene' },
       body: {
-        designs: designs.slice(i, i + ROLLOUTS_AT_ONCE), environments: [requested(environment)],
+        designs: designs.slice(from, from + ROLLOUTS_AT_ONCE),
+        environments: [requested(environment)],
         controller, physics, precision, record: CHANNELS,
         record_stride: Math.max(1, Math.min(Math.round(FRAME_S / stepS), steps)),
       },
     }));
-    robots.push(...robotsOf(decodeScene(await response.arrayBuffer())));
+    return robotsOf(decodeScene(await response.arrayBuffer()));
+  }
+  const robots = [];
+  const asked = [];
+  for (let next = 0; robots.length < designs.length;) {
+    while (asked.length < REQUESTS_AT_ONCE && next < designs.length) {
+      asked.push(group(next));
+      asked.at(-1).catch(() => {}); // it is reported in its turn
+      next += ROLLOUTS_AT_ONCE;
+    }
+    robots.push(...await asked.shift());
+    if (robots.length < designs.length) onmore?.([...robots]);
   }
   return robots;
 }

@@ -57,6 +57,7 @@ export function robotsOf({ header, array }) {
       world: {
         light: environment.light_xy_m ?? [...lights.subarray(0, 2)],
         points: environment.task?.guide.points_m,
+        task: environment.task,
         heights: environment.terrain?.heights_m ?? array(environment.terrain_heights_m),
         spacing: environment.terrain?.spacing_m,
         key: environment.sha256,

@@ -4,8 +4,10 @@
 import { lookAt, multiply, orthographic, perspective } from './math.js';
 
 const NEAR_M = 0.02;
-const FAR_M = 40;
-const FOV_Y = (38 * Math.PI) / 180;
+const LENS_NEAR_M = 0.3;
+const FAR_M = 100;
+/** Tangent of half of the angle of view. */
+const RISE = Math.tan((19 * Math.PI) / 180);
 
 export class Camera {
   constructor() {
@@ -16,16 +18,19 @@ export class Camera {
     /** Angle of the view above the horizon, in radians. */
     this.pitch = 0.4;
     this.distanceM = 2.2;
+    /** A longer lens shows the same from farther away, with less perspective. */
+    this.lens = 1;
     /** Scale of a view without perspective, in pixels per meter; 0 means perspective. */
     this.pixelsPerM = 0;
   }
 
   eye() {
-    const level = Math.cos(this.pitch) * this.distanceM;
+    const away = this.distanceM * this.lens;
+    const level = Math.cos(this.pitch) * away;
     return [
       this.target[0] - Math.sin(this.yaw) * level,
       this.target[1] - Math.cos(this.yaw) * level,
-      this.target[2] + Math.sin(this.pitch) * this.distanceM,
+      this.target[2] + Math.sin(this.pitch) * away,
     ];
   }
 
@@ -39,7 +44,8 @@ export class Camera {
       const scale = 2 * this.pixelsPerM;
       return multiply(orthographic(width / scale, height / scale, -FAR_M, FAR_M), view);
     }
-    return multiply(perspective(FOV_Y, width / height, NEAR_M, FAR_M), view);
+    const near = this.lens > 1 ? LENS_NEAR_M : NEAR_M;
+    return multiply(perspective(2 * Math.atan(RISE / this.lens), width / height, near, FAR_M), view);
   }
 
   turn(yaw, pitch) {
@@ -48,7 +54,7 @@ export class Camera {
   }
 
   zoom(factor) {
-    this.distanceM = Math.min(14, Math.max(0.35, this.distanceM * factor));
+    this.distanceM = Math.min(30, Math.max(0.35, this.distanceM * factor));
   }
 
   /** Moves the target across the ground, as seen from the camera, in meters. */

@@ -1,7 +1,7 @@
 /** What was driven, as recordings that the stage plays and exports, and the path of the light. */
 
 import { repeat } from './live.js';
-import { heightAt } from './stage.js';
+import { heightAt } from './math.js';
 
 /** The path of a task has at most this many points. */
 const POINTS_MAX = 16;

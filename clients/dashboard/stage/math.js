@@ -44,6 +44,15 @@ export function multiply(a, b) {
   return product;
 }
 
+/** Returns a matrix for points that are moved by a shift first. */
+export function translated(matrix, [x, y, z]) {
+  const moved = Float32Array.from(matrix);
+  for (let row = 0; row < 4; row++) {
+    moved[12 + row] += matrix[row] * x + matrix[4 + row] * y + matrix[8 + row] * z;
+  }
+  return moved;
+}
+
 /**
  * Returns where a point of the world appears: [x, y, depth], each from -1 to 1.
  * @param {ArrayLike<number>} matrix
@@ -86,4 +95,23 @@ export const cross = (a, b) => [
 export function normalize(a) {
   const length = Math.hypot(...a) || 1;
   return [a[0] / length, a[1] / length, a[2] / length];
+}
+
+/**
+ * Returns the height of a world's terrain at (x, y), as the daemon computes it: bilinear, clamped
+ * at the edge.
+ * @param {{heights: ArrayLike<number>, spacing?: number}} world
+ */
+export function heightAt({ heights, spacing }, x, y) {
+  if (spacing) {
+    const along = Math.min(heights.length - 1, Math.max(0, x / spacing));
+    const from = Math.min(heights.length - 2, Math.floor(along));
+    return heights[from] + (along - from) * (heights[from + 1] - heights[from]);
+  }
+  const [cx, cy] = [x, y].map((v) => Math.min(7, Math.max(0, v * 1.4)));
+  const [i, j] = [cx, cy].map((v) => Math.min(6, Math.floor(v)));
+  const [fx, fy] = [cx - i, cy - j];
+  const at = (a, b) => heights[(j + b) * 8 + i + a];
+  return (1 - fy) * ((1 - fx) * at(0, 0) + fx * at(1, 0)) +
+    fy * ((1 - fx) * at(0, 1) + fx * at(1, 1));
 }

@@ -1,10 +1,13 @@
 /** A stage with its controls: play, scrub, slow motion, display options, and the followed robot. */
 
-import { button, fill, h, select, swatch, toggle } from '../lib/dom.js';
+import { announce, button, fill, h, say, select, toggle } from '../lib/dom.js';
+import { percent } from '../lib/format.js';
 import { resultOf } from '../lib/tasks.js';
 import { driveCamera } from './camera.js';
 import { isSoftware } from './gl.js';
+import { LENS } from './lanes.js';
 import { Stage } from './stage.js';
+import { Standings } from './standings.js';
 import { Tags } from './tags.js';
 
 export const SPEEDS = [['2', '2 ×'], ['1', '1 ×'], ['0.5', '½ ×'], ['0.25', '¼ ×'], ['0.1', '⅒ ×']];
@@ -22,9 +25,6 @@ const SCALE_MIN = 0.35;
 const ELAPSED_MAX_S = 2;
 /** A still picture is drawn at full quality after this pause. */
 const STILL_MS = 250;
-/** More names would hide the robots; more views would be too small. */
-const NAMES_MAX = 40;
-const APART_MAX = 64;
 
 export class Player {
   /**
@@ -39,7 +39,11 @@ export class Player {
     this.canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': 'Stage: no robots yet' });
     if (height) this.canvas.style.height = `${height}px`;
     this.note = h('div.note', { 'aria-live': 'polite' });
-    this.names = h('div.names', { hidden: true, role: 'group', 'aria-label': 'Robots' });
+    this.standings = new Standings({
+      follow: (i) => this.#followRobot(i), film: () => this.#film(),
+    });
+    this.names = this.standings.element;
+    this.coming = h('div.coming', { hidden: true });
     this.playing = !matchMedia('(prefers-reduced-motion: reduce)').matches;
     this.speed = 1;
     this.slider = h('input', {
@@ -56,15 +60,17 @@ export class Player {
       hidden: true, title: 'Frames take long, so their resolution is lower while robots move',
     }, isSoftware() ? 'software drawing' : 'lower resolution');
     this.playButton = button('', () => {
-      this.setPlaying(!this.playing);
+      const waits = this.#waits();
+      this.isEarly = waits;
+      this.setPlaying(waits || !this.playing);
       this.onchange();
     });
     this.toggleRow = h('div.row');
     this.timeRow = h('div.time', {}, this.playButton, this.slider, this.drawing, this.clock);
     this.controls = h(`div.controls${compact ? '.compact' : ''}`, {}, this.timeRow, this.toggleRow);
     this.tags = new Tags();
-    this.element = h('div.stage', {}, this.canvas, this.tags.element, this.names, this.note,
-      this.controls);
+    this.element = h('div.stage', {}, this.canvas, this.tags.element, this.names, this.coming,
+      this.note,      this.controls);
     try {
       this.stage = new Stage(this.canvas, { theme: app.theme });
     } catch (error) {
@@ -81,6 +87,7 @@ export class Player {
     this.#addToggles(compact);
     driveCamera(this.canvas, this.stage.camera, (how) => {
       this.aimed = true;
+      this.stage.isFramed = false;
       if (how === 'moved') this.#setFollow(false);
       this.#wake();
       this.onchange();
@@ -95,7 +102,11 @@ export class Player {
       this.#wake();
     };
     app.themeListeners.add(this.onTheme);
-    this.resize = new ResizeObserver(() => this.#wake());
+    this.resize = new ResizeObserver(() => {
+      if (this.stage.lanes() !== this.standings.lanes) this.#list();
+      this.#cover();
+      this.#wake();
+    });
     this.resize.observe(this.canvas);
     // A hidden canvas is not throttled: without a GPU, frames would queue up for minutes.
     this.isSeen = true;
@@ -120,13 +131,15 @@ export class Player {
     });
     this.followToggle = toggle('Follow', true, (on) => {
       stage.follow = on;
+      stage.isFramed &&= !on;
       this.#wake();
       this.onchange();
     });
     this.sideToggle = button('Side by side', () => this.setSide(true),
       { 'aria-pressed': 'false', title: 'A view for each robot' });
     this.raceToggle = button('Race', () => this.setSide(false),
-      { 'aria-pressed': 'true', title: 'All robots on one terrain' });
+      { 'aria-pressed': 'true', title: 'A lane for each robot: the same ground and the same light, ' +
+        'drawn beside each other. A light that leads the way is drawn close to its robot.' });
     this.springsToggle = flag('Springs', 'springs');
     this.actuationToggle = flag('Actuation', 'actuation');
     this.toggles = { skin: flag('Skin', 'skin'), springs: this.springsToggle,
@@ -168,9 +181,27 @@ export class Player {
     this.stage.sideBySide = on;
     this.sideToggle.setAttribute('aria-pressed', String(on));
     this.raceToggle.setAttribute('aria-pressed', String(!on));
-    this.#showNames();
+    this.#arrange();
+    this.#list();
     this.#wake();
     this.onchange();
+  }
+
+  /** In a race, the camera frames all lanes; apart, it goes back to where it was. */
+  #arrange() {
+    const { stage, stage: { camera } } = this;
+    const isRace = Boolean(stage.lanes());
+    if (isRace === Boolean(this.apart)) return;
+    if (isRace) {
+      const { target, yaw, pitch, distanceM, lens } = camera;
+      this.apart = { target, yaw, pitch, distanceM, lens };
+      camera.lens = LENS;
+    } else {
+      Object.assign(camera, this.apart);
+      this.apart = null;
+    }
+    this.#setFollow(!isRace);
+    stage.isFramed = isRace;
   }
 
   /**
@@ -180,21 +211,32 @@ export class Player {
   view() {
     const { stage } = this;
     return {
-      view: stage.camera.toText(), follow: stage.follow ? stage.followed : null,
+      view: stage.isFramed ? null : stage.camera.toText(), follow: stage.follow ? stage.followed : null,
       time: this.playing ? null : Math.min(stage.timeS, stage.durationS()).toFixed(2),
       speed: this.speed === 1 ? null : this.speed, show: this.shown().join(','),
     };
   }
 
-  /** Applies the view of a link, once the robots have loaded. @param {URLSearchParams}
-   * parameters */
-  setView(parameters) {
+  /**
+   * Applies the view of a link, once robots have loaded.
+   * @param {URLSearchParams} parameters
+   * @param {boolean} isMore it was applied before, to fewer robots: only the one to follow is left
+   */
+  setView(parameters, isMore = false) {
     const { stage } = this;
+    if (isMore) {
+      const at = parameters.get('follow');
+      if (at !== null && stage.follow && Number(at) !== stage.followed && stage.robots[at]) {
+        this.#followRobot(Number(at));
+      }
+      return;
+    }
     const [show, view, follow, time, speed] = ['show', 'view', 'follow', 'time', 'speed']
       .map((name) => parameters.get(name));
     if (show !== null) this.setShown(show.split(','));
     if (view && stage.camera.fromText(view)) {
       this.aimed = true;
+      stage.isFramed = false;
       this.#setFollow(follow !== null);
     }
     if (follow !== null && stage.robots[Number(follow)]) this.#followRobot(Number(follow));
@@ -248,17 +290,18 @@ export class Player {
 
   /**
    * @param {import('./stage.js').Robot[]} robots
-   * @param {{keepTime?: boolean, live?: boolean}} options live: they are those of setLive
+   * @param {{keepTime?: boolean, live?: boolean, isMore?: boolean}} options live: they are those of
+   *   setLive; isMore: the first of them are already on the stage
    */
   setRobots(robots, options = {}) {
-    const { keepTime = false, live = false } = options;
+    const { keepTime = false, live = false, isMore = false } = options;
     if (!this.stage) return;
     if (this.live && !live) {
       this.held = false;
       this.live.restart(robots);
       return;
     }
-    this.stage.setRobots(robots);
+    this.stage.setRobots(robots, isMore);
     // Until the user turns the camera, the robots walk away from it, toward their light.
     if (robots.length && !this.aimed) this.stage.aim();
     this.held = false;
@@ -266,17 +309,12 @@ export class Player {
     this.slider.max = String(duration || 1);
     if (!keepTime || this.stage.timeS > duration) this.stage.timeS = 0;
     this.sideToggle.parentElement.hidden = robots.length < 2;
-    // All robots start at the same position, so they are first shown separately, unless there are
-    // very many.
-    const apart = robots.length > 1 && robots.length <= APART_MAX;
+    const apart = robots.length > 1;
     if (!this.arranged && this.stage.sideBySide !== apart) this.setSide(apart);
     this.arranged ||= robots.length > 1;
+    this.#arrange();
     this.actuationToggle.disabled = !robots.some((robot) => robot.actuation);
-    fill(this.names, h('div.muted', {}, robots.some((robot) => robot.driven)
-      ? 'following your light' : 'score in this environment'),
-      this.stage.robots.map((robot, i) => this.#name(robot, i)));
-    this.tags.name(this.stage.robots);
-    this.#showNames();
+    this.#list();
     const text = robots.length === 0 ? 'no robots yet'
       : `${robots.length === 1 ? 'one robot' : `${robots.length} robots`}, ` +
         `${duration.toFixed(1)} s: ` +
@@ -285,27 +323,56 @@ export class Player {
     this.#wake();
   }
 
-  /** The list of robots. Side by side, the tags in the views show the same. */
-  #showNames() {
-    const { robots, sideBySide } = this.stage;
-    this.names.hidden = robots.length === 0 || robots.length > NAMES_MAX ||
-      (sideBySide && robots.length > 1);
+  /** Names the robots: in a list and, side by side or in a race, where they are. */
+  #list() {
+    this.tags.name(this.stage);
+    this.standings.set(this.stage);
+    this.#cover();
   }
 
-  #name(robot, i) {
-    return h('button', {
-      type: 'button', 'aria-pressed': String(i === this.stage.followed),
-      title: `${robot.robot}: follow this robot`,
-      onclick: () => this.#followRobot(i),
-    }, h('span.row', {}, swatch(robot.color), robot.label ?? ''),
-    h('span.number', {}, resultOf(robot)));
+  /** Lanes are not drawn behind the list. */
+  #cover() {
+    const { names, canvas } = this;
+    const isOver = !names.hidden && getComputedStyle(names).position === 'absolute';
+    this.stage.covered = isOver ? Math.min(0.4, (names.offsetWidth + 16) / canvas.clientWidth) : 0;
+  }
+
+  /** Saves a film, of a race with its order. */
+  async #film() {
+    const [{ filmOf }, { save }] = await Promise.all(
+      [import('../export/film.js'), import('../views/share.js')]);
+    try {
+      save(await filmOf(this, (share) => this.setNote(`Film: ${percent(share)}`)),
+        'morphod-race.webm');
+    } catch (error) {
+      announce(error.message, { isRefusal: true });
+    }
+    this.setNote('');
+  }
+
+  /** Says how many robots are here while others are still computed. */
+  setComing(n, of) {
+    this.isComing = n < of;
+    if (!this.isComing) this.isEarly = false;
+    this.coming.hidden = !this.isComing;
+    say(this.coming, `${n} of ${of} robots`);
+    this.#showPlay();
+    this.#wake();
+  }
+
+  /** Whether a race waits for its robots. */
+  #waits() {
+    return Boolean(this.isComing && !this.isEarly && this.stage?.lanes());
+  }
+
+  #showPlay() {
+    this.playButton.textContent = this.#waits() ? 'Start now' : this.playing ? 'Pause' : 'Play';
   }
 
   #followRobot(i) {
     this.stage.followed = i;
     this.#setFollow(true);
-    this.names.querySelectorAll('button')
-      .forEach((child, j) => child.setAttribute('aria-pressed', String(i === j)));
+    this.standings.update(false);
     this.#wake();
     this.onchange();
   }
@@ -322,7 +389,7 @@ export class Player {
   setPlaying(on) {
     this.playing = on;
     this.live?.setPlaying(on);
-    this.playButton.textContent = on ? 'Pause' : 'Play';
+    this.#showPlay();
     this.#wake();
   }
 
@@ -353,14 +420,15 @@ export class Player {
       return;
     }
     const duration = this.stage.durationS();
-    const moving = this.playing && duration > 0;
+    const moving = this.playing && duration > 0 && !this.#waits();
     const elapsed = (now - this.before) / 1000; // NaN for the first picture
     if (moving && elapsed < ELAPSED_MAX_S) this.#adapt(elapsed);
     if (this.live) {
       this.live.tick();
     } else if (moving && elapsed >= 0) {
       // Slow pictures skip frames: the time is real.
-      this.stage.timeS += Math.min(elapsed, ELAPSED_MAX_S) * this.speed;
+      this.stage.timeS = this.standings.after(this.stage.timeS,
+        Math.min(elapsed, ELAPSED_MAX_S) * this.speed);
       // At the end, the last frame stays for a second.
       if (this.stage.timeS > duration + this.speed) this.stage.timeS = 0;
     }
@@ -422,7 +490,8 @@ export class Player {
     const time = this.live ? this.live.timeS : Math.min(this.stage.timeS, this.stage.durationS());
     const early = performance.now() < this.createdMs + PATIENCE_MS;
     this.stage.draw({ empty: early && !this.stage.robots.length });
-    this.tags.place(this.stage);
+    this.standings.update(this.playing);
+    this.tags.place(this.stage, this.standings.order);
     this.live?.steering.place();
     this.slider.value = String(time);
     this.slider.setAttribute('aria-valuetext', `${time.toFixed(2)} seconds`);

@@ -90,15 +90,23 @@ export const TERRAIN_SHADERS = [
   `${VERSION}${TERRAIN}
 layout(location = 0) in vec2 corner;
 uniform mat4 matrix;
+uniform vec4 course; // of a race: start and direction
+uniform vec4 lane; // ranges along and across, or 0: the whole map
 out vec3 at;
 out vec2 slope;
+out vec2 way;
 void main() {
   // The mesh is finer in the middle, where robots walk; beyond the map it continues, flat in one
   // axis.
   vec2 p = 2.5 + corner * (0.55 + 0.45 * abs(corner)) * 6.0;
+  bool isLane = lane.y > lane.x;
+  if (isLane) {
+    way = mix(lane.xz, lane.yw, corner * 0.5 + 0.5);
+    p = course.xy + way.x * course.zw + way.y * vec2(course.w, -course.z);
+  }
   // Edges of a profile are sharp where the mesh is finer than its heights.
   float edge = spacing > 0.0 ? round(p.x / spacing) * spacing : p.x;
-  if (abs(edge - p.x) < 0.05) p.x = edge;
+  if (abs(edge - p.x) < 0.05 && (!isLane || abs(course.z) > 0.99)) p.x = edge;
   at = vec3(p, heightAt(p));
   // The slope of the bilinear patch, not of the mesh; here, not for each pixel, because most of the
   // time without a graphics processor would go there.
@@ -110,6 +118,11 @@ void main() {
   `${VERSION}${SHADOW}${LOOK}
 in vec3 at;
 in vec2 slope;
+in vec2 way;
+uniform vec4 lane;
+uniform float goal; // of a race: distance of its finish, or 0
+uniform float marks; // distance of lines across its lanes, or 0
+uniform vec3 tint;
 uniform float spacing;
 uniform float alongM; // length of a profile
 uniform vec3 ground;
@@ -141,6 +154,19 @@ void main() {
   vec2 beyond = max(abs(at.xy - middle) - (middle - 0.15), 0.0);
   float fade = smoothstep(0.0, 1.3, length(beyond));
   fade = max(fade, smoothstep(7.0, 13.0, distance(at, eye)));
+  if (lane.y > lane.x) {
+    float soft = fwidth(way.x) + fwidth(way.y);
+    lit = mix(lit, lit * (tint + 0.25), 0.15);
+    if (marks > 0.0) lit = mix(lit, glow, lines(way.x / marks, 2.0) * 0.6);
+    lit = mix(lit, vec3(0.95), 1.0 - smoothstep(0.012, 0.012 + soft, abs(way.x)));
+    vec2 square = floor(vec2(way.x - goal, way.y) / 0.1);
+    if (goal > 0.0 && (square.x == 0.0 || square.x == -1.0)) {
+      lit = mix(lit, vec3(mod(square.x + square.y, 2.0) == 0.0 ? 0.95 : 0.08), 0.8);
+    }
+    float edge = min(way.y - lane.z, lane.w - way.y);
+    lit = mix(lit, tint, 1.0 - smoothstep(0.02, 0.02 + soft, edge));
+    fade = 1.0 - smoothstep(0.0, 0.2, min(way.x - lane.x, lane.y - way.x));
+  }
   color = vec4(mix(exposed(lit), background, fade), 1.0);
 }`,
 ];

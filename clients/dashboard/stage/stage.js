@@ -7,7 +7,10 @@
 
 import { Camera } from './camera.js';
 import { Program, dataTexture, isSoftware, shadowTarget, vertexArray } from './gl.js';
-import { lookAt, multiply, normalize, orthographic, project, unproject } from './math.js';
+import { frameLanes, lampOf, lanesIn, lanesOf } from './lanes.js';
+import {
+  heightAt, lookAt, multiply, normalize, orthographic, project, translated, unproject,
+} from './math.js';
 import { centerOfMass, release, upload } from './robot.js';
 import * as shaders from './shaders.js';
 
@@ -15,6 +18,8 @@ import * as shaders from './shaders.js';
 const GRID = 160;
 const COARSE_GRID = 56;
 const TINY_GRID = 28;
+/** Cells of the ground of a lane: along and across. */
+const LANE_GRID = [120, 10];
 /** Views lower than this, in pixels of the page, are small: the camera moves closer. */
 const SMALL_PX = 260;
 const TINY_PX = 130;
@@ -41,6 +46,8 @@ function clear(gl, [r, g, b]) {
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
 }
 
+const NO_SHIFT = [0, 0, 0];
+const NO_LANE = [0, 0, 0, 0];
 const DEFAULT_WORLD = { light: [2.5, 4.5], heights: new Float32Array(64).fill(0.05) };
 
 const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
@@ -57,15 +64,15 @@ function sunOf(world) {
   return normalize([-0.7 * Math.sin(turn), -0.7 * Math.cos(turn), 1]);
 }
 
-/** A square with n cells along each side, from -1 to 1. */
-function groundMesh(gl, cells) {
-  const corners = new Float32Array((cells + 1) * (cells + 1) * 2);
-  const triangles = new Uint32Array(cells * cells * 6);
-  for (let y = 0, at = 0, t = 0; y <= cells; y++) {
+/** A square with this many cells along each side, from -1 to 1. */
+function groundMesh(gl, cells, rows = cells) {
+  const corners = new Float32Array((cells + 1) * (rows + 1) * 2);
+  const triangles = new Uint32Array(cells * rows * 6);
+  for (let y = 0, at = 0, t = 0; y <= rows; y++) {
     for (let x = 0; x <= cells; x++, at += 2) {
       corners[at] = (2 * x) / cells - 1;
-      corners[at + 1] = (2 * y) / cells - 1;
-      if (x === cells || y === cells) continue;
+      corners[at + 1] = (2 * y) / rows - 1;
+      if (x === cells || y === rows) continue;
       const i = y * (cells + 1) + x;
       triangles.set([i, i + 1, i + cells + 2, i, i + cells + 2, i + cells + 1], t);
       t += 6;
@@ -86,8 +93,8 @@ function groundMesh(gl, cells) {
  * @property {number} frameS seconds per frame
  * @property {Float32Array|number[]} [lights] (frames, 3) of a light that a task moves
  * @property {{light: number[], points?: number[][], heights: Float32Array|number[],
- *   spacing?: number, key?: string, sunFrom?: number[]}} world light (x, y) in meters, at the start
- *   if it moves; way-points of a path; and the terrain: 64 heights of a grid, or, with their
+ *   spacing?: number, key?: string, sunFrom?: number[], task?: any}} world light (x, y) in meters,
+ *   at the start if it moves; way-points of a path; the task, if it is not `photo`; and the terrain: 64 heights of a grid, or, with their
  *   spacing in meters, of a profile; sunFrom: where the sun is in place of the light
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
  * @property {Uint8Array} [contacts] (frames, masses), 1 if a mass touches the ground
@@ -119,6 +126,10 @@ export class Stage {
     this.robots = [];
     this.show = { skin: true, springs: false, actuation: false, trails: true, contacts: false };
     this.sideBySide = false;
+    /** Whether the camera frames all lanes of a race, until the user turns it. */
+    this.isFramed = false;
+    /** Share of the width that is covered at the right. */
+    this.covered = 0;
     this.follow = true;
     /** Index of the robot that the camera follows if all robots share one view. */
     this.followed = 0;
@@ -153,6 +164,7 @@ export class Stage {
     this.ground = groundMesh(gl, GRID);
     this.coarseGround = groundMesh(gl, COARSE_GRID);
     this.tinyGround = groundMesh(gl, TINY_GRID);
+    this.laneGround = groundMesh(gl, ...LANE_GRID);
     this.empty = gl.createVertexArray();
     gl.bindVertexArray(null);
     this.shadow = shadowTarget(gl, 1024);
@@ -162,10 +174,15 @@ export class Stage {
     gl.flush(); // starts the compiler
   }
 
-  /** Replaces the robots on the stage. @param {Robot[]} robots */
-  setRobots(robots) {
+  /**
+   * Replaces the robots on the stage.
+   * @param {Robot[]} robots
+   * @param {boolean} isMore the first of them are already on the stage
+   */
+  setRobots(robots, isMore = false) {
     const { gl } = this;
-    for (const { gpu } of this.robots) {
+    const kept = isMore ? this.robots : [];
+    for (const { gpu } of isMore ? [] : this.robots) {
       if (gpu) release(gl, gpu);
     }
     for (const texture of this.terrains.values()) gl.deleteTexture(texture);
@@ -173,10 +190,30 @@ export class Stage {
     this.robots = robots.map((robot, i) => ({
       ...robot,
       color: robot.color ?? COLORS[i % COLORS.length],
-      gpu: upload(gl, robot),
+      gpu: kept[i]?.gpu ?? upload(gl, robot),
+      centers: kept[i]?.centers,
     }));
     for (const robot of this.robots) robot.gpu.tint = toRgb(robot.color);
     this.followed = Math.min(this.followed, Math.max(0, robots.length - 1));
+  }
+
+  /** The lanes, if this is a race; robots that are driven share one light, so they have none. */
+  lanes() {
+    const { robots } = this;
+    if (this.sideBySide || robots.length < 2 || robots.some((robot) => robot.driven)) return null;
+    const max = lanesIn(this.canvas.clientWidth);
+    if (this.laned?.of !== robots || this.laned.max !== max) {
+      this.laned = { of: robots, max, ...lanesOf(robots, max) };
+    }
+    return this.laned;
+  }
+
+  /** Returns where a robot's center of mass is drawn now, or null if the robot is not drawn. */
+  placeOf(robot) {
+    const lanes = this.lanes();
+    const shift = lanes ? lanes.shifts.get(robot) : NO_SHIFT;
+    return shift &&
+      centerOfMass(robot, this.frameOf(robot)).map((value, axis) => value + shift[axis]);
   }
 
   /** Length of the longest recording, in seconds. */
@@ -209,7 +246,9 @@ export class Stage {
   views() {
     const { width, height } = this.canvas;
     const n = this.sideBySide ? this.robots.length : 1;
-    if (n <= 1) return [{ robots: this.robots, x: 0, y: 0, width, height }];
+    if (n <= 1) {
+      return [{ robots: this.lanes()?.robots ?? this.robots, x: 0, y: 0, width, height }];
+    }
     let columns = 1;
     // The split with views closest to the ratio 4 : 3.
     let best = Infinity;
@@ -263,41 +302,59 @@ export class Stage {
 
   #drawView(view, look) {
     const { gl, camera } = this;
-    const lead = view.robots[Math.min(this.followed, view.robots.length - 1)];
-    if (this.follow && lead) {
-      const center = centerOfMass(lead, this.frameOf(lead));
-      camera.target = [center[0], center[1], Math.max(center[2] - 0.05, 0)];
+    const lanes = this.lanes();
+    const lead = lanes ? this.robots[this.followed]
+      : view.robots[Math.min(this.followed, view.robots.length - 1)];
+    if (lanes && this.isFramed) {
+      frameLanes(lanes, camera, view.width, view.height, this.covered);
+    } else if (this.follow && lead) {
+      const center = this.placeOf(lead);
+      if (center) camera.target = [center[0], center[1], Math.max(center[2] - 0.05, 0)];
     }
     const { distanceM } = camera;
     const shown = (view.height / this.canvas.height) * this.canvas.clientHeight;
-    camera.distanceM *= Math.min(1, 0.45 + 0.55 * (shown / SMALL_PX));
+    if (!lanes) camera.distanceM *= Math.min(1, 0.45 + 0.55 * (shown / SMALL_PX));
     const matrix = camera.matrix(view.width, view.height);
     view.matrix = matrix;
     const eye = camera.eye();
     camera.distanceM = distanceM;
-    const ground = shown < (this.shadows ? TINY_PX : SMALL_PX) ? this.tinyGround
-      : shown < SMALL_PX || !this.shadows ? this.coarseGround : this.ground;
-    const world = lead?.world ?? DEFAULT_WORLD;
-    const sun = this.#sun(world);
-    const sunMatrix = this.#drawShadows(view, sun);
+    const ground = lanes ? this.laneGround
+      : shown < (this.shadows ? TINY_PX : SMALL_PX) ? this.tinyGround
+        : shown < SMALL_PX || !this.shadows ? this.coarseGround : this.ground;
+    const sun = this.#sun(lead?.world ?? DEFAULT_WORLD);
+    const sunMatrix = this.#drawShadows(view, sun, lanes);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(view.x, view.y, view.width, view.height);
     gl.viewport(view.x, view.y, view.width, view.height);
     clear(gl, look.background);
     gl.enable(gl.DEPTH_TEST);
     const common = {
-      ...look, matrix, sunMatrix, sun, eye, heights: this.#heights(world),
-      spacing: world.spacing ?? 0, alongM: (world.spacing ?? 0) * (world.heights.length - 1),
-      lightAt: this.#lightOf(lead, world),
-      shadowMap: this.shadow.texture, shadowStrength: this.shadows ? 0.62 : 0,
+      ...look, sun, shadowMap: this.shadow.texture, shadowStrength: this.shadows ? 0.62 : 0,
+      // In a race, colors distinguish the robots.
+      owned: view.robots.length > 1 ? 0.65 : 0,
+      lane: lanes?.lane ?? NO_LANE, course: lanes?.course ?? NO_LANE,
+      goal: lanes?.goal ?? 0, marks: lanes?.marks ?? 0,
     };
-    this.programs.terrain.use().set(common);
-    gl.bindVertexArray(ground.array);
-    gl.drawElements(gl.TRIANGLES, ground.n, gl.UNSIGNED_INT, 0);
-    // In a race, colors distinguish the robots.
-    const owned = view.robots.length > 1 ? 0.65 : 0;
-    for (const robot of view.robots) this.#drawRobot(robot, { ...common, owned });
-    this.#drawBlended(view, common);
+    /** What a robot and its ground are drawn with: a lane is the world, shifted. */
+    const own = (robot, shift) => {
+      const world = robot?.world ?? DEFAULT_WORLD;
+      return {
+        ...common, matrix: translated(matrix, shift), sunMatrix: translated(sunMatrix, shift),
+        eye: eye.map((value, axis) => value - shift[axis]), heights: this.#heights(world),
+        spacing: world.spacing ?? 0, alongM: (world.spacing ?? 0) * (world.heights.length - 1),
+        lightAt: this.#lightOf(robot, world), tint: robot?.gpu.tint ?? NO_SHIFT,
+      };
+    };
+    const shared = lanes ? null : own(lead, NO_SHIFT);
+    const places = view.robots.map((robot) => (lanes ? own(robot, lanes.shifts.get(robot))
+      : shared));
+    for (const place of lanes ? places : [shared]) {
+      this.programs.terrain.use().set(place);
+      gl.bindVertexArray(ground.array);
+      gl.drawElements(gl.TRIANGLES, ground.n, gl.UNSIGNED_INT, 0);
+    }
+    view.robots.forEach((robot, i) => this.#drawRobot(robot, places[i]));
+    this.#drawBlended(view, places, shared);
     gl.disable(gl.SCISSOR_TEST);
   }
 
@@ -344,20 +401,16 @@ export class Stage {
     });
   }
 
-  /** Where the light of the robot that is followed is now. */
-  #lightOf(lead, world) {
-    let [x, y] = world.light;
-    if (lead?.lights) {
-      const frame = Math.floor(this.frameOf(lead));
-      [x, y] = lead.lights.slice(3 * frame, 3 * frame + 2);
-    }
-    return [x, y, heightAt(world, x, y) + 0.06];
+  /** Where the light of a robot is drawn now. */
+  #lightOf(robot, world) {
+    return robot ? lampOf(robot, this.frameOf(robot), Boolean(this.lanes()))
+      : [...world.light, heightAt(world, world.light[0], world.light[1]) + 0.06];
   }
 
-  #drawShadows(view, sun) {
+  #drawShadows(view, sun, lanes) {
     const { gl } = this;
     const robots = view.robots;
-    const centers = robots.map((robot) => centerOfMass(robot, this.frameOf(robot)));
+    const centers = robots.map((robot) => this.placeOf(robot));
     const middle = [0, 1, 2].map((axis) => {
       const values = centers.map((center) => center[axis]);
       return values.length ? (Math.min(...values) + Math.max(...values)) / 2 : 0;
@@ -375,8 +428,8 @@ export class Stage {
     gl.clear(gl.DEPTH_BUFFER_BIT);
     this.programs.depth.use();
     for (const robot of robots) {
-      this.programs.depth.set({ matrix: sunMatrix, track: robot.gpu.track,
-        frame: this.frameOf(robot) });
+      this.programs.depth.set({ matrix: translated(sunMatrix, lanes?.shifts.get(robot) ?? NO_SHIFT),
+        track: robot.gpu.track, frame: this.frameOf(robot) });
       gl.bindVertexArray(robot.gpu.skin.array);
       gl.drawArrays(gl.TRIANGLES, 0, 6 * robot.body.nFaces);
     }
@@ -403,58 +456,43 @@ export class Stage {
     }
   }
 
-  #drawBlended(view, common) {
+  #drawBlended(view, places, shared) {
     const { gl, show } = this;
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     gl.depthMask(false);
-    for (const robot of view.robots) {
+    view.robots.forEach((robot, i) => {
       const own = { track: robot.gpu.track, frame: this.frameOf(robot), tint: robot.gpu.tint };
       if (show.trails) {
-        this.programs.trail.use().set(common).set({ ...own, width: 0.016 });
+        this.programs.trail.use().set(places[i]).set({ ...own, width: 0.016 });
         gl.bindVertexArray(robot.gpu.trail.array);
         gl.drawArrays(gl.TRIANGLE_STRIP, 0, robot.gpu.trail.n);
       }
       if (show.contacts) {
-        this.programs.contacts.use().set(common).set({
+        this.programs.contacts.use().set(places[i]).set({
           ...own, contacts: robot.gpu.contacts ?? this.noContacts,
           hasContacts: robot.gpu.contacts !== null,
         });
         gl.bindVertexArray(this.empty);
         gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, robot.body.nMasses);
       }
-    }
-    const lamp = (at, size) => {
-      this.programs.lamp.use().set(common)
-        .set({ lightAt: at, size: [size * (view.height / view.width), size] });
+    });
+    // Lamps are as large in a view from far away as in one from near, but for lanes.
+    const far = shared ? 1 : Math.min(1, 3.4 / this.camera.distanceM);
+    const lamp = (place, at, size) => {
+      this.programs.lamp.use().set(place)
+        .set({ lightAt: at, size: [far * size * (view.height / view.width), far * size] });
       gl.bindVertexArray(this.empty);
       gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     };
     const world = view.robots[0]?.world;
-    for (const [x, y] of world?.points ?? []) {
-      lamp([x, y, heightAt(world, x, y) + 0.03], 0.2);
+    for (const place of shared ? [shared] : places) {
+      for (const [x, y] of world?.points ?? []) {
+        lamp(place, [x, y, heightAt(world, x, y) + 0.03], 0.2);
+      }
+      lamp(place, place.lightAt, 0.26);
     }
-    lamp(common.lightAt, 0.26);
     gl.depthMask(true);
     gl.disable(gl.BLEND);
   }
-}
-
-/**
- * Returns the height of a world's terrain at (x, y), as the daemon computes it: bilinear, clamped
- * at the edge.
- * @param {{heights: ArrayLike<number>, spacing?: number}} world
- */
-export function heightAt({ heights, spacing }, x, y) {
-  if (spacing) {
-    const along = Math.min(heights.length - 1, Math.max(0, x / spacing));
-    const from = Math.min(heights.length - 2, Math.floor(along));
-    return heights[from] + (along - from) * (heights[from + 1] - heights[from]);
-  }
-  const [cx, cy] = [x, y].map((v) => Math.min(7, Math.max(0, v * 1.4)));
-  const [i, j] = [cx, cy].map((v) => Math.min(6, Math.floor(v)));
-  const [fx, fy] = [cx - i, cy - j];
-  const at = (a, b) => heights[(j + b) * 8 + i + a];
-  return (1 - fy) * ((1 - fx) * at(0, 0) + fx * at(1, 0)) +
-    fy * ((1 - fx) * at(0, 1) + fx * at(1, 1));
 }

@@ -1,7 +1,7 @@
 /** Moving the light on the stage: by dragging it, by a click on the ground, or with keys. */
 
 import { h } from '../lib/dom.js';
-import { heightAt } from './stage.js';
+import { heightAt } from './math.js';
 
 /** The light is picked within this many pixels: fingers are wider than pointers. */
 const REACH_PX = 30;

@@ -3,14 +3,13 @@
  * view.
  */
 
-import { fill, h } from '../lib/dom.js';
+import { fill, h, say } from '../lib/dom.js';
 import { resultOf } from '../lib/tasks.js';
 import { project } from './math.js';
-import { centerOfMass } from './robot.js';
 
 /** More names than these would hide the robots. */
 const TAGS_MAX = 16;
-const [HEIGHT_PX, WIDTH_PX] = [22, 90];
+const [HEIGHT_PX, WIDTH_PX, CROWDED_PX] = [22, 90, 24];
 
 export class Tags {
   constructor() {
@@ -18,31 +17,46 @@ export class Tags {
     this.element = h('div.tags', { 'aria-hidden': 'true' });
   }
 
-  /** Puts the names where the robots are. @param {import('./stage.js').Stage} stage */
-  place(stage) {
+  /**
+   * Puts the names where the robots are.
+   * @param {import('./stage.js').Stage} stage
+   * @param {{robot: Object}[]} order of a race
+   */
+  place(stage, order) {
     const { clientWidth, clientHeight, width, offsetTop } = stage.canvas;
     const perPixel = clientWidth / width;
     const views = stage.views();
     const placed = [];
+    const lanes = stage.lanes();
+    const places = new Map(order.map(({ robot }, i) => [robot, i + 1]));
+    const isCrowded = lanes && isNarrow(stage, lanes);
     [...this.element.children].forEach((tag, i) => {
       let [x, y] = [0, 0];
       const isApart = stage.sideBySide && stage.robots.length > 1;
-      tag.lastElementChild.hidden = !isApart;
+      const [number, name, score] = tag.children;
+      number.hidden = !lanes;
+      name.hidden = isCrowded;
+      tag.classList.toggle('bare', Boolean(isCrowded));
+      score.hidden = !isApart;
       if (isApart) {
         const view = views[i];
         [x, y] = [view.x * perPixel + 8, clientHeight - (view.y + view.height) * perPixel + 8];
       } else {
-        const robot = stage.robots[i];
-        const [mx, my, mz] = centerOfMass(robot, stage.frameOf(robot));
+        const robot = this.robots[i];
+        say(number, String(places.get(robot) ?? ''));
+        const place = stage.placeOf(robot);
+        tag.hidden = !place;
+        if (!place) return;
+        const [mx, my, mz] = place;
         const [px, py, depth] = project(stage.camera.matrix(views[0].width, views[0].height),
           [mx, my, mz + 0.28]);
-        x = ((px + 1) / 2) * clientWidth - WIDTH_PX / 2;
+        x = ((px + 1) / 2) * clientWidth - (isCrowded ? CROWDED_PX : WIDTH_PX) / 2;
         y = ((1 - py) / 2) * clientHeight - HEIGHT_PX;
         tag.hidden = depth > 1 || Math.abs(px) > 1 || Math.abs(py) > 1;
         // All start at the same position: names that would cover each other are stacked.
         const overlaps = (at) =>
           Math.abs(at[0] - x) < WIDTH_PX && Math.abs(at[1] - y) < HEIGHT_PX;
-        while (placed.some(overlaps)) y -= HEIGHT_PX;
+        while (!lanes && placed.some(overlaps)) y -= HEIGHT_PX;
         placed.push([x, y]);
       }
       tag.style.transform = `translate(${x.toFixed(1)}px, ${(y + offsetTop).toFixed(1)}px)`;
@@ -50,12 +64,24 @@ export class Tags {
   }
 
   /** Names other robots, at once: their picture may take a while. */
-  name(robots) {
-    const shown = robots.length > 1 && robots.length <= TAGS_MAX ? robots : [];
-    fill(this.element, shown.map((robot) => {
-      const tag = h('span.tag', {}, robot.label ?? '', h('span.number', {}, resultOf(robot)));
+  name(stage) {
+    const robots = stage.lanes()?.robots ?? stage.robots;
+    this.robots = robots.length > 1 && robots.length <= TAGS_MAX ? robots : [];
+    fill(this.element, this.robots.map((robot) => {
+      const tag = h('span.tag', {}, h('b'), h('span', {}, robot.label ?? ''),
+        h('span.number', {}, resultOf(robot)));
       tag.style.borderColor = robot.color;
       return tag;
     }));
   }
+}
+
+/** Whether names would cover other lanes. */
+function isNarrow({ canvas, camera }, { shifts }) {
+  const { clientWidth: width, clientHeight: height } = canvas;
+  const matrix = camera.matrix(width, height);
+  const [from, to] = [...shifts.values()].map((shift) =>
+    project(matrix, camera.target.map((value, axis) => value + shift[axis])));
+  return Math.abs(from[0] - to[0]) * width < 2 * (WIDTH_PX + 30) &&
+    Math.abs(from[1] - to[1]) * height < 2.4 * HEIGHT_PX;
 }

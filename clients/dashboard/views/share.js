@@ -168,16 +168,9 @@ export function exportDialog(player, { name, film: command, more = [], sections 
   });
 
   async function film() {
-    const { record } = await import('../export/webm.js');
-    player.setPlaying(false);
-    const blob = await player.inFull(() => record(canvas, (time) => {
-      stage.timeS = time;
-      stage.draw();
-    }, {
-      durationS: stage.durationS(),
-      onprogress: (share) => { message.textContent = `Film: ${percent(share)}`; },
-    }));
-    save(blob, `${name}.webm`);
+    const { filmOf } = await import('../export/film.js');
+    save(await filmOf(player, (share) => { message.textContent = `Film: ${percent(share)}`; }),
+      `${name}.webm`);
     message.textContent = '';
   }
 
@@ -192,7 +185,8 @@ export function exportDialog(player, { name, film: command, more = [], sections 
   async function page() {
     const { toPage } = await import('../export/page.js');
     save(await toPage(stage.robots,
-      `Robots: ${stage.robots.map((robot) => robot.label).join(', ')}`), `${name}.html`);
+      `Robots: ${stage.robots.map((robot) => robot.label).join(', ')}`, Boolean(stage.lanes())),
+    `${name}.html`);
   }
 
   return showDialog('Export', h('div.row', {},

@@ -26,11 +26,17 @@ export async function mount(main, path, parameters, app) {
     : rollouts(parameters));
   checkView(parameters, source);
   let environment = Number(parameters.get('environment') ?? 0);
-  const stop = new AbortController();
   let known = false;
   let pending;
   // The daemon computes while the stage is set up.
-  const first = source.walk(environment, stop.signal);
+  let walk = { stop: new AbortController(), more: () => {} };
+  const begin = () => {
+    walk.stop.abort();
+    const mine = { stop: new AbortController(), more: (robots) => {} };
+    walk = mine;
+    return source.walk(environment, mine.stop.signal, (robots) => mine.more(robots));
+  };
+  const first = begin();
   const player = new Player(app, { onchange: () => keepView() });
   if (source.driven && player.stage) new Driving(player, () => source.driven(environment));
 
@@ -42,14 +48,23 @@ export async function mount(main, path, parameters, app) {
     }), KEEP_MS);
   }
 
-  async function load(walking = source.walk(environment, stop.signal)) {
+  async function load(walking = begin()) {
+    const { stop } = walk;
+    const of = source.nRobots();
+    let n = 0;
     player.setNote(source.founders().length ? 'Walking…' : '');
-    try {
-      const robots = await walking;
-      player.setRobots(robots, { keepTime: known });
+    const show = (robots) => {
+      if (stop.signal.aborted) return;
+      player.setRobots(robots, { keepTime: known || n > 0, isMore: n > 0 });
       player.setNote(robots.length ? '' :
         'No design is stored yet. Build one in the Lab, or start a campaign.');
-      if (!known && player.stage) player.setView(parameters);
+      player.setComing(robots.length, of);
+      if (!known && player.stage) player.setView(parameters, n > 0);
+      n = robots.length;
+    };
+    walk.more = show;
+    try {
+      show(await walking);
       known = true;
       keepView();
     } catch (error) {
@@ -79,14 +94,15 @@ export async function mount(main, path, parameters, app) {
   return {
     unmount() {
       clearTimeout(pending);
-      stop.abort();
+      walk.stop.abort();
       player.destroy();
     },
   };
 }
 
 /** Refuses a link with an invalid view. @param {URLSearchParams} parameters */
-function checkView(parameters, { n, nRobots }) {
+function checkView(parameters, { n, nRobots: count }) {
+  const nRobots = count();
   const check = (name, isRight, expected) => {
     const value = parameters.get(name);
     if (value !== null && !isRight(value)) {
@@ -152,20 +168,27 @@ async function rollouts(parameters) {
   /** The same robots with each controller. */
   const controllers = parameters.get('controller')?.split(',') ?? [world.controller];
 
-  async function walk(environment, signal) {
+  async function walk(environment, signal, onmore) {
     const robots = [];
     for (const controller of controllers) {
       const more = await roll(ids.map(designOf), environments[environment],
-        { controller, physics, precision, signal });
-      // An id without an orientation becomes a robot, which stays the same in other environments.
-      ids = ids.map((id, i) => (id.length === 36 ? more[i].robot : id));
-      more.forEach((robot, i) => {
-        robot.label = controllers.length > 1 ? controller : labelOf(ids, i);
-      });
-      if (controllers.length > 1) more.forEach((robot) => { robot.controller = controller; });
-      robots.push(...more);
+        { controller, physics, precision, signal, onmore: (some) => {
+          onmore([...robots, ...named(some, controller)]);
+        } });
+      robots.push(...named(more, controller));
+      if (robots.length < ids.length * controllers.length) onmore([...robots]);
     }
     return robots;
+  }
+
+  function named(some, controller) {
+    // An id without an orientation becomes a robot, which stays the same in other environments.
+    some.forEach(({ robot }, i) => { if (ids[i].length === 36) ids[i] = robot; });
+    some.forEach((robot, i) => {
+      robot.label = controllers.length > 1 ? controller : labelOf(ids, i);
+      if (controllers.length > 1) robot.controller = controller;
+    });
+    return some;
   }
 
   function choose(changed) {
@@ -182,7 +205,7 @@ async function rollouts(parameters) {
 
   const how = (environment, controller, output) => ({ world, environment, controller, output });
   return {
-    n: environments.length, nRobots: ids.length * controllers.length, walk, choose,
+    n: environments.length, nRobots: () => ids.length * controllers.length, walk, choose,
     world: world.words,
     link: () => ({
       designs: ids.join(','), world: parameters.get('world'), set: parameters.get('set'),
@@ -220,13 +243,13 @@ async function recordings(parameters) {
   checkCount(rows.length);
   const ids = rows.map((row) => job.results[row].robot);
   return {
-    n: items.length, nRobots: rows.length,
+    n: items.length, nRobots: () => rows.length,
     world: ['Recorded by ', h('a', { href: linkOf(asJob('evaluation', job)) },
       titleOf(asJob('evaluation', job)))],
-    async walk(environment, signal) {
-      const robots = await recorded(id, rows, environment, signal);
-      robots.forEach((robot, i) => { robot.label = labelOf(ids, i); });
-      return robots;
+    async walk(environment, signal, onmore) {
+      const named = (robots) => robots.map((robot, i) => ({ ...robot, label: labelOf(ids, i) }));
+      return named(await recorded(id, rows, environment, signal,
+        (robots) => onmore(named(robots))));
     },
     link: () => ({ evaluation: id, rows: rows.join(',') }),
     founders: () => rows.map((row) => ({ voxels: job.results[row].genotype })),
