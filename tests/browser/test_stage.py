@@ -216,7 +216,7 @@ def test_a_link_holds_the_view(service, browser):
 
 
 def test_a_race_and_its_link(service, browser):
-    """Robots on one terrain, each with its name and color. The link shows the same again."""
+    """Robots in lanes, each with its name and color. The link shows the same again."""
     ids = [row["robot"] for row in service.evaluate(
         {"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]}).json()["results"]]
     browser.open(f"stage?designs={','.join(ids)}&environment=2")
@@ -225,21 +225,23 @@ def test_a_race_and_its_link(service, browser):
     browser.click("Springs")
     browser.run("""
         const { player } = document.querySelector('.stage');
-        player.names.querySelectorAll('button')[1].click();
+        [...player.names.querySelectorAll('.rows button')]
+          .find((row) => row.title.startsWith(arguments[0])).click();
         player.speedSelect.value = '0.25';
         player.speedSelect.dispatchEvent(new Event('change'));
         player.slider.value = '1.5';
         player.slider.dispatchEvent(new Event('input'));
         player.canvas.focus();
         player.canvas.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowLeft' }));
-    """)
+    """, ids[1])
     tags = """
       const { player, player: { stage } } = document.querySelector('.stage');
       stage.draw();
-      player.tags.place(stage);
+      player.tags.place(stage, player.standings.order);
       return [...document.querySelectorAll('.tag')].map((e) => {
         const { x, y } = e.getBoundingClientRect();
-        return [e.innerText, getComputedStyle(e).borderLeftColor, Math.round(x), Math.round(y)];
+        return [e.children[1].innerText, getComputedStyle(e).borderLeftColor, Math.round(x),
+          Math.round(y)];
     })"""
     state = """
         const { player, player: { stage } } = document.querySelector('.stage');
@@ -251,8 +253,9 @@ def test_a_race_and_its_link(service, browser):
     assert reported["views"] == 1 and not reported["side"] and not reported["playing"]
     names = module(browser, "lib/names.js", "done(arguments[1].map(of.nameOf))", ids)
     assert [name for name, *_ in named] == names
-    assert browser.run("return [...document.querySelectorAll('.names button')]"
-                       ".map((e) => e.title)") == [f"{id}: follow this robot" for id in ids]
+    titles = browser.run("return [...document.querySelectorAll('.names .rows button')]"
+                         ".map((e) => e.title)")
+    assert sorted(titles) == sorted(f"{id}: follow this robot" for id in ids)
     assert len({color for _, color, *_ in named}) == 2
     browser.open(link.split("#/")[1])
     browser.until_walking()

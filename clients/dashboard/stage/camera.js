@@ -45,7 +45,8 @@ export class Camera {
       return multiply(orthographic(width / scale, height / scale, -FAR_M, FAR_M), view);
     }
     const near = this.lens > 1 ? LENS_NEAR_M : NEAR_M;
-    return multiply(perspective(2 * Math.atan(RISE / this.lens), width / height, near, FAR_M), view);
+    const angle = 2 * Math.atan(RISE / this.lens);
+    return multiply(perspective(angle, width / height, near, FAR_M), view);
   }
 
   turn(yaw, pitch) {

@@ -137,9 +137,10 @@ export class Player {
     });
     this.sideToggle = button('Side by side', () => this.setSide(true),
       { 'aria-pressed': 'false', title: 'A view for each robot' });
-    this.raceToggle = button('Race', () => this.setSide(false),
-      { 'aria-pressed': 'true', title: 'A lane for each robot: the same ground and the same light, ' +
-        'drawn beside each other. A light that leads the way is drawn close to its robot.' });
+    this.raceToggle = button('Race', () => this.setSide(false), {
+      'aria-pressed': 'true', title: 'A lane for each robot: the same ground and the same light, ' +
+        'drawn next to each other. A light that leads the way is drawn close to its robot.',
+    });
     this.springsToggle = flag('Springs', 'springs');
     this.actuationToggle = flag('Actuation', 'actuation');
     this.toggles = { skin: flag('Skin', 'skin'), springs: this.springsToggle,
@@ -211,7 +212,8 @@ export class Player {
   view() {
     const { stage } = this;
     return {
-      view: stage.isFramed ? null : stage.camera.toText(), follow: stage.follow ? stage.followed : null,
+      view: stage.isFramed ? null : stage.camera.toText(),
+      follow: stage.follow ? stage.followed : null,
       time: this.playing ? null : Math.min(stage.timeS, stage.durationS()).toFixed(2),
       speed: this.speed === 1 ? null : this.speed, show: this.shown().join(','),
     };
@@ -327,6 +329,7 @@ export class Player {
   #list() {
     this.tags.name(this.stage);
     this.standings.set(this.stage);
+    this.#showPlay();
     this.#cover();
   }
 
@@ -352,12 +355,12 @@ export class Player {
 
   /** Says how many robots are here while others are still computed. */
   setComing(n, of) {
+    if (!this.stage) return;
     this.isComing = n < of;
+    this.stage.expected = of;
     if (!this.isComing) this.isEarly = false;
     this.coming.hidden = !this.isComing;
     say(this.coming, `${n} of ${of} robots`);
-    this.#showPlay();
-    this.#wake();
   }
 
   /** Whether a race waits for its robots. */
@@ -434,7 +437,7 @@ export class Player {
     }
     this.before = now;
     this.wanted = false;
-    this.#show();
+    this.#show(moving);
     if (moving || this.wanted) requestAnimationFrame((next) => this.#frame(next));
     else this.running = false;
     clearTimeout(this.stillTimer);
@@ -485,12 +488,12 @@ export class Player {
     this.drawing.hidden = !isLower;
   }
 
-  #show() {
+  #show(isMoving = false) {
     this.stage.timeS = Math.max(0, this.stage.timeS);
     const time = this.live ? this.live.timeS : Math.min(this.stage.timeS, this.stage.durationS());
     const early = performance.now() < this.createdMs + PATIENCE_MS;
-    this.stage.draw({ empty: early && !this.stage.robots.length });
-    this.standings.update(this.playing);
+    this.stage.draw({ empty: early && !this.stage.robots.length, isPart: isMoving });
+    this.standings.update(isMoving);
     this.tags.place(this.stage, this.standings.order);
     this.live?.steering.place();
     this.slider.value = String(time);

@@ -23,6 +23,11 @@ const LANE_GRID = [120, 10];
 /** Views lower than this, in pixels of the page, are small: the camera moves closer. */
 const SMALL_PX = 260;
 const TINY_PX = 130;
+/** Lower views have no shadow. */
+const SHADOW_PX = 60;
+/** While robots move, a picture draws this many views anew, in turn: fewer without a GPU. */
+const VIEWS_AT_ONCE = 64;
+const VIEWS_IN_SOFTWARE = 12;
 
 /** Colors of robots in the order of the legend: color-blind people can distinguish them. */
 export const COLORS = ['#f0a030', '#4a9be8', '#57c08a', '#d070c0', '#e8e060', '#9a8cff', '#70d0e0',
@@ -94,8 +99,9 @@ function groundMesh(gl, cells, rows = cells) {
  * @property {Float32Array|number[]} [lights] (frames, 3) of a light that a task moves
  * @property {{light: number[], points?: number[][], heights: Float32Array|number[],
  *   spacing?: number, key?: string, sunFrom?: number[], task?: any}} world light (x, y) in meters,
- *   at the start if it moves; way-points of a path; the task, if it is not `photo`; and the terrain: 64 heights of a grid, or, with their
- *   spacing in meters, of a profile; sunFrom: where the sun is in place of the light
+ *   at the start if it moves; way-points of a path; a task other than `photo`; the terrain: 64
+ *   heights of a grid, or, with their spacing in meters, of a profile; sunFrom: where the sun is in
+ *   place of the light
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
  * @property {Uint8Array} [contacts] (frames, masses), 1 if a mass touches the ground
  * @property {string} [color] as in the legend
@@ -136,6 +142,12 @@ export class Stage {
     this.scale = 1;
     this.shadows = true;
     this.timeS = 0;
+    /** The views drawn last, of these robots, and which was the last one. */
+    this.drawn = null;
+    this.drawnOf = null;
+    this.turn = 0;
+    /** Views that there will be: those of robots that come later have their place already. */
+    this.expected = 0;
     /** @type {?{key: string, sun: number[]}} */
     this.sunAt = null;
     this.terrains = new Map();
@@ -194,6 +206,12 @@ export class Stage {
       centers: kept[i]?.centers,
     }));
     for (const robot of this.robots) robot.gpu.tint = toRgb(robot.color);
+    const views = this.views();
+    if (isMore && views.length > 1 && this.drawn?.[0].width === views[0].width) {
+      // The others stay where they are drawn.
+      [this.drawnOf, this.turn] = [this.robots, this.drawn.length - 1];
+      this.drawn = [...this.drawn, ...views.slice(this.drawn.length)];
+    }
     this.followed = Math.min(this.followed, Math.max(0, robots.length - 1));
   }
 
@@ -249,15 +267,17 @@ export class Stage {
     if (n <= 1) {
       return [{ robots: this.lanes()?.robots ?? this.robots, x: 0, y: 0, width, height }];
     }
+    const places = Math.max(n, this.expected);
     let columns = 1;
     // The split with views closest to the ratio 4 : 3.
     let best = Infinity;
-    for (let c = 1; c <= n; c++) {
-      const shape = width / c / (height / Math.ceil(n / c));
-      const off = Math.abs(Math.log(shape / 1.35)) + 0.35 * (Math.ceil(n / c) * c - n);
+    for (let c = 1; c <= places; c++) {
+      const shape = width / c / (height / Math.ceil(places / c));
+      const off = Math.abs(Math.log(shape / 1.35)) +
+        0.35 * (Math.ceil(places / c) * c - places);
       if (off < best) [best, columns] = [off, c];
     }
-    const rows = Math.ceil(n / columns);
+    const rows = Math.ceil(places / columns);
     const [w, hgt] = [Math.floor(width / columns), Math.floor(height / rows)];
     return this.robots.map((robot, i) => ({
       robots: [robot],
@@ -268,21 +288,36 @@ export class Stage {
     }));
   }
 
-  /** Draws the current time, or only the background. */
-  draw({ empty = false } = {}) {
+  /** Draws the current time, or only the background. isPart: some of very many views. */
+  draw({ empty = false, isPart = false } = {}) {
     const { gl, canvas } = this;
     const width = Math.max(1, Math.round(canvas.clientWidth * devicePixelRatio * this.scale));
     const height = Math.max(1, Math.round(canvas.clientHeight * devicePixelRatio * this.scale));
-    if (canvas.width !== width || canvas.height !== height) {
-      Object.assign(canvas, { width, height });
-    }
+    const isResized = canvas.width !== width || canvas.height !== height;
+    if (isResized) Object.assign(canvas, { width, height });
     const look = THEMES[this.theme];
+    const most = isSoftware() ? VIEWS_IN_SOFTWARE : VIEWS_AT_ONCE;
+    if (isPart && !isResized && this.sideBySide && this.robots.length > most &&
+      this.drawnOf === this.robots && this.drawn.length === this.robots.length) {
+      for (let i = 0; i < most; i++) {
+        this.turn = (this.turn + 1) % this.drawn.length;
+        this.#drawView(this.drawn[this.turn], look);
+      }
+      this.#finish();
+      return;
+    }
     gl.disable(gl.SCISSOR_TEST);
     gl.viewport(0, 0, width, height);
     clear(gl, this.sideBySide ? look.line : look.background);
     if (empty) return;
     this.drawn = this.views();
+    [this.drawnOf, this.turn] = [this.robots, 0];
     for (const view of this.drawn) this.#drawView(view, look);
+    this.#finish();
+  }
+
+  #finish() {
+    const { gl } = this;
     gl.bindVertexArray(null);
     gl.deleteSync(this.fence ?? null);
     this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
@@ -322,14 +357,15 @@ export class Stage {
       : shown < (this.shadows ? TINY_PX : SMALL_PX) ? this.tinyGround
         : shown < SMALL_PX || !this.shadows ? this.coarseGround : this.ground;
     const sun = this.#sun(lead?.world ?? DEFAULT_WORLD);
-    const sunMatrix = this.#drawShadows(view, sun, lanes);
+    const isShaded = this.shadows && shown >= SHADOW_PX;
+    const sunMatrix = this.#drawShadows(view, sun, lanes, isShaded);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(view.x, view.y, view.width, view.height);
     gl.viewport(view.x, view.y, view.width, view.height);
     clear(gl, look.background);
     gl.enable(gl.DEPTH_TEST);
     const common = {
-      ...look, sun, shadowMap: this.shadow.texture, shadowStrength: this.shadows ? 0.62 : 0,
+      ...look, sun, shadowMap: this.shadow.texture, shadowStrength: isShaded ? 0.62 : 0,
       // In a race, colors distinguish the robots.
       owned: view.robots.length > 1 ? 0.65 : 0,
       lane: lanes?.lane ?? NO_LANE, course: lanes?.course ?? NO_LANE,
@@ -407,7 +443,7 @@ export class Stage {
       : [...world.light, heightAt(world, world.light[0], world.light[1]) + 0.06];
   }
 
-  #drawShadows(view, sun, lanes) {
+  #drawShadows(view, sun, lanes, isShaded) {
     const { gl } = this;
     const robots = view.robots;
     const centers = robots.map((robot) => this.placeOf(robot));
@@ -420,7 +456,7 @@ export class Stage {
     const from = middle.map((x, axis) => x + sun[axis] * 6);
     const sunMatrix = multiply(orthographic(reach, reach, 0.1, 12),
       lookAt(from, middle, [0, 0, 1]));
-    if (!this.shadows) return sunMatrix;
+    if (!isShaded) return sunMatrix;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.shadow.frame);
     gl.disable(gl.SCISSOR_TEST);
     gl.viewport(0, 0, this.shadow.size, this.shadow.size);

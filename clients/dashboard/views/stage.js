@@ -55,10 +55,10 @@ export async function mount(main, path, parameters, app) {
     player.setNote(source.founders().length ? 'Walking…' : '');
     const show = (robots) => {
       if (stop.signal.aborted) return;
+      player.setComing(robots.length, of);
       player.setRobots(robots, { keepTime: known || n > 0, isMore: n > 0 });
       player.setNote(robots.length ? '' :
         'No design is stored yet. Build one in the Lab, or start a campaign.');
-      player.setComing(robots.length, of);
       if (!known && player.stage) player.setView(parameters, n > 0);
       n = robots.length;
     };
