@@ -81,7 +81,7 @@ class Browser:
         self.driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
         self.until("document.querySelector('main h1')")
 
-    def until(self, condition, seconds=300):
+    def until(self, condition, seconds=60):
         """Waits until a script returns true."""
         deadline = time.monotonic() + seconds
         while not self.run(f"return Boolean({condition})"):
