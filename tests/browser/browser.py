@@ -89,8 +89,9 @@ class Browser:
             time.sleep(0.05)
 
     def until_walking(self, seconds=300):
-        """Waits for robots on the stage."""
-        self.until("document.querySelector('.stage')?.player?.stage.robots.length", seconds)
+        """Waits for all robots on the stage."""
+        self.until("document.querySelector('.stage')?.player?.stage.robots.length &&"
+                   "!document.querySelector('.stage').player.isComing", seconds)
 
     def chain(self, view, shown, latency_ms=300):
         """Returns the length of the longest chain of requests until a script reports that a view is

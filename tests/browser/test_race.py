@@ -211,7 +211,7 @@ def test_robots_appear_as_they_come(service, browser):
 
 
 def test_very_many_views_are_drawn_in_turn(service, browser):
-    """While robots move, a picture draws some of the views anew; in the end, all of them."""
+    """While robots move, a picture redraws some of the views; in the end, all of them."""
     browser.open(f"stage?designs={robots_of(service, [DESIGN, PAIR])}")
     browser.until("document.querySelector('.stage')?.player?.stage.robots.length === 2")
     most = browser.run(PLAYER + """
@@ -249,7 +249,7 @@ def test_a_film_of_a_race(service, browser):
     data = bytes(browser.driver.execute_async_script(
         "saved[0].arrayBuffer().then((all) => arguments[0]([...new Uint8Array(all)]))"))
     assert data[:4] == bytes.fromhex("1a45dfa3") and b"webm" in data[:200]
-    at = data.index(bytes.fromhex("4489")) + 2  # duration in milliseconds, after its size in 8 bytes
+    at = data.index(bytes.fromhex("4489")) + 2  # milliseconds, after their size in 8 bytes
     duration_s = struct.unpack_from(">d", data, at + 8)[0] / 1000
     race_s, part = browser.run(PLAYER + "return [player.standings.race.durationS,"
                                "player.standings.slowPart]")

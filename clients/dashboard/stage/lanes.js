@@ -110,7 +110,7 @@ const HALF_M = Math.tan((19 * Math.PI) / 180);
 /** With little perspective, robots in far lanes are as large as others. */
 export const LENS = 3;
 /** Views of a race: whether the robots walk to the right, or away, and how steep the view is. */
-const VIEWS = [[false, 0.9], [false, 0.6], [true, 0.75], [true, 0.5]];
+const VIEWS = [[false, 1.15], [false, 0.9], [false, 0.6], [true, 0.75], [true, 0.5]];
 /** How large the ground of the lanes is in a picture. */
 const sizeIn = ({ pitch, distanceM }) => Math.sin(pitch) / distanceM ** 2;
 

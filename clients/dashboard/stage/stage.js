@@ -25,7 +25,7 @@ const SMALL_PX = 260;
 const TINY_PX = 130;
 /** Lower views have no shadow. */
 const SHADOW_PX = 60;
-/** While robots move, a picture draws this many views anew, in turn: fewer without a GPU. */
+/** While robots move, a picture draws this many of the views, in turn: fewer without a GPU. */
 const VIEWS_AT_ONCE = 64;
 const VIEWS_IN_SOFTWARE = 12;
 

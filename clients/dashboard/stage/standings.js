@@ -36,7 +36,7 @@ export class Standings {
       this.title, this.rows, this.left, this.acts);
   }
 
-  /** Lists the robots of a stage anew. @param {import('./stage.js').Stage} stage */
+  /** Makes the list of a stage. @param {import('./stage.js').Stage} stage */
   set(stage) {
     this.stage = stage;
     const { robots, sideBySide } = stage;
