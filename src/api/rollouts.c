@@ -49,7 +49,10 @@ void mo_api_post_rollouts(struct mo_request *request)
                                  &rollouts, &message)) != MO_OK)
     refuse(request, error, &message, &faults);
   else
-    mo_reply_rollouts(request, rollouts, form == 1);
+    mo_reply_rollouts(request, rollouts,
+                      form == 0                    ? MO_ROLLOUTS_JSON
+                      : parsed.states.int16_masses ? MO_ROLLOUTS_INT16
+                                                   : MO_ROLLOUTS_SCENE);
   mo_rollouts_free(rollouts);
   mo_states_free(&parsed.states);
   mo_parts_free(&parsed.evaluation.parts);

@@ -1,6 +1,7 @@
 /* scene.c: see scene.h. */
 #include "api/scene.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -195,6 +196,9 @@ int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
 
 /* ---- whole scenes ---- */
 
+/* Positions within this distance of their middle are within 0.5 mm of theirs as int16. */
+#define INT16_HALF_M 32.0
+
 /* Writes rows of numbers as an array of float32. */
 static void write_table(struct mo_text *text, struct mo_text *arrays, const struct mo_field *field,
                         const struct mo_environment *environment)
@@ -233,15 +237,79 @@ static void write_environment(struct mo_text *text, struct mo_text *arrays,
   mo_text_add(text, "}");
 }
 
-static void write_recording(struct mo_text *text, struct mo_text *arrays,
-                            const struct mo_rollouts *rollouts, const struct mo_rolled *rolled,
-                            const struct mo_body *body)
+/* The middle of positions, and what one unit of int16 is so that all of them fit. */
+struct grid {
+  double origin_m[3], unit_m;
+};
+
+/* Returns false if positions are too far apart for the promised error. */
+static bool grid_of(const float (*positions_m)[3], size_t n, struct grid *grid)
+{
+  double half_m = 0;
+  for (int axis = 0; axis < 3; axis++) {
+    float low_m = positions_m[0][axis], high_m = low_m;
+    for (size_t i = 1; i < n; i++) {
+      low_m = fminf(low_m, positions_m[i][axis]);
+      high_m = fmaxf(high_m, positions_m[i][axis]);
+    }
+    grid->origin_m[axis] = ((double)low_m + (double)high_m) / 2;
+    half_m = fmax(half_m, ((double)high_m - (double)low_m) / 2);
+  }
+  grid->unit_m = fmax(half_m, 1e-3) / INT16_MAX;
+  return half_m <= INT16_HALF_M;
+}
+
+/* Writes positions as int16 with their origin and unit. Returns false, and writes nothing, if they
+ * are too far apart. *error: MO_ERR_NO_MEMORY, or unchanged. */
+static bool write_int16(struct mo_text *text, struct mo_text *arrays,
+                        const struct mo_scene_array *masses, int *error)
+{
+  const float(*positions_m)[3] = masses->numbers;
+  const size_t n = (size_t)masses->shape[0] * masses->shape[1];
+  struct grid grid;
+  if (n == 0 || !grid_of(positions_m, n, &grid))
+    return false;
+  int16_t(*numbers)[3] = malloc(n * sizeof(*numbers));
+  if (numbers == NULL) {
+    *error = MO_ERR_NO_MEMORY;
+    return true;
+  }
+  for (size_t i = 0; i < n; i++)
+    for (int axis = 0; axis < 3; axis++)
+      numbers[i][axis] =
+          (int16_t)lrint(((double)positions_m[i][axis] - grid.origin_m[axis]) / grid.unit_m);
+  struct mo_scene_array array = *masses;
+  array.name = "masses_int16";
+  array.type = "int16";
+  array.numbers = numbers;
+  array.width = sizeof(int16_t);
+  mo_scene_write_array(text, arrays, &array);
+  free(numbers);
+  mo_text_open(text, "masses_origin_m", "[");
+  for (int axis = 0; axis < 3; axis++) {
+    mo_text_add(text, axis > 0 ? "," : "");
+    mo_text_json_number(text, grid.origin_m[axis]);
+  }
+  mo_text_add(text, "]");
+  mo_text_member_number(text, "masses_unit_m", grid.unit_m);
+  return true;
+}
+
+static int write_recording(struct mo_text *text, struct mo_text *arrays,
+                           const struct mo_rollouts *rollouts, const struct mo_rolled *rolled,
+                           const struct mo_body *body, bool is_int16)
 {
   struct mo_scene_array array;
-  for (unsigned i = 0; i < MO_CHANNELS; i++)
-    if (mo_scene_channel(&rolled->recording, (enum mo_channel)(1U << i), rollouts->n_frames,
-                         body->n_masses, body->n_springs, &array))
+  int error = MO_OK;
+  for (unsigned i = 0; i < MO_CHANNELS; i++) {
+    const enum mo_channel channel = (enum mo_channel)(1U << i);
+    if (!mo_scene_channel(&rolled->recording, channel, rollouts->n_frames, body->n_masses,
+                          body->n_springs, &array))
+      continue;
+    if (!is_int16 || channel != MO_RECORD_MASSES || !write_int16(text, arrays, &array, &error))
       mo_scene_write_array(text, arrays, &array);
+  }
+  return error;
 }
 
 /* The center of mass in a frame. Returns false if nothing was recorded that has it. */
@@ -323,7 +391,8 @@ static int write_designs(struct mo_text *text, struct mo_text *arrays,
 
 /* Writes the header of a scene or, if `arrays` is NULL, the same as JSON. */
 static int write_scene(struct mo_text *text, struct mo_text *arrays,
-                       const struct mo_lattice *lattice, const struct mo_rollouts *rollouts)
+                       const struct mo_lattice *lattice, const struct mo_rollouts *rollouts,
+                       bool is_int16)
 {
   const uint32_t n = rollouts->n_environments;
   struct mo_sha256 physics;
@@ -356,7 +425,7 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
       mo_text_member_count(text, "diverged_step", (uint64_t)rolled->outcome.diverged_step);
       const struct mo_body *body = rollouts->designs[i].body;
       if (arrays != NULL) {
-        write_recording(text, arrays, rollouts, rolled, body);
+        error = write_recording(text, arrays, rollouts, rolled, body, is_int16);
         error = error != MO_OK ? error
                                : write_lights(text, arrays, rollouts, i * n + k, body->n_masses);
       }
@@ -370,12 +439,13 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
 }
 
 void mo_reply_rollouts(struct mo_request *request, const struct mo_rollouts *rollouts,
-                       bool as_scene)
+                       enum mo_rollouts_form form)
 {
+  const bool as_scene = form != MO_ROLLOUTS_JSON;
   struct mo_text header = {0}, arrays = {0};
   size_t size = 0;
-  int error =
-      write_scene(&header, as_scene ? &arrays : NULL, mo_api_of(request)->lattice, rollouts);
+  int error = write_scene(&header, as_scene ? &arrays : NULL, mo_api_of(request)->lattice, rollouts,
+                          form == MO_ROLLOUTS_INT16);
   if (error == MO_OK && !as_scene) {
     mo_reply_json(request, 200, &header);
     return;

@@ -33,10 +33,12 @@ void mo_scene_write_array(struct mo_text *text, struct mo_text *arrays,
 int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
                         const struct mo_lattice *lattice, const struct mo_body *body,
                         const struct mo_genotype *genotype);
-/* Replies with the inputs and the results of rollouts: as a scene, or as JSON, which has no
- * recordings. */
+/* How rollouts are sent: as JSON, which has no recordings, or as a scene, whose positions are
+ * float32, or int16 if that is close enough (masses_int16, docs/scenes.md). */
+enum mo_rollouts_form { MO_ROLLOUTS_JSON, MO_ROLLOUTS_SCENE, MO_ROLLOUTS_INT16 };
+/* Replies with the inputs and the results of rollouts. */
 void mo_reply_rollouts(struct mo_request *request, const struct mo_rollouts *rollouts,
-                       bool as_scene);
+                       enum mo_rollouts_form form);
 struct mo_campaign_status;
 /* Replies with the phylogeny of a campaign as columns: the designs after number `after` (−1: all).
  * lineages: only the living ones and their ancestors. tag: the ETag. */

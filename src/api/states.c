@@ -426,6 +426,7 @@ static const struct mo_field_own states_field = {.read = read_states};
 static const struct mo_field rows[] = {
     {"states", MO_FIELD_OWN, 0, 0, .own = &states_field},
     {"final_states", MO_FIELD_FLAG, 0, AT(wants_final)},
+    {"masses_int16", MO_FIELD_FLAG, 0, AT(int16_masses)},
 };
 #undef AT
 const struct mo_fields mo_states_fields = MO_FIELDS(rows);

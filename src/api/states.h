@@ -12,9 +12,11 @@ struct mo_parsed_states {
   double *times_s;       /* (n, 2) of each state, and when its tally began */
   uint32_t n;
   bool is_given, wants_final;
-  int error; /* MO_ERR_NO_MEMORY */
+  bool int16_masses; /* positions as masses_int16 (docs/scenes.md) */
+  int error;         /* MO_ERR_NO_MEMORY */
 };
-extern const struct mo_fields mo_states_fields; /* of it: states, final_states */
+extern const struct mo_fields mo_states_fields; /* of it: states, final_states,
+                                               masses_int16 */
 
 /* The body of POST /v1/rollouts: without the members of an evaluation that belong to a job. Free
  * its states, and the parts of its evaluation, in every case. */

@@ -193,7 +193,7 @@ static void reply_scene(struct mo_request *request, const struct place *place,
   if (error != MO_OK) {
     mo_reply_error(request, error, "trajectory");
   } else {
-    mo_reply_rollouts(request, rollouts, true);
+    mo_reply_rollouts(request, rollouts, MO_ROLLOUTS_SCENE);
     mo_reply_etag_of_body(request);
   }
   mo_rollouts_free(rollouts);

@@ -80,7 +80,7 @@ export async function roll(designs, environment, options = {}) {
       body: {
         designs: designs.slice(from, from + ROLLOUTS_AT_ONCE),
         environments: [requested(environment)],
-        controller, physics, precision, record: CHANNELS,
+        controller, physics, precision, record: CHANNELS, masses_int16: true,
         record_stride: Math.max(1, Math.min(Math.round(FRAME_S / stepS), steps)),
       },
     }));

@@ -8,7 +8,7 @@ import { bodyOf } from './body.js';
 const TYPES = {
   float64: Float64Array, float32: Float32Array, uint32: Uint32Array, uint16: Uint16Array,
   uint8: Uint8Array,
-  int8: Int8Array,
+  int8: Int8Array, int16: Int16Array,
 };
 
 /**
@@ -32,6 +32,12 @@ export function decodeScene(buffer) {
   return { header, array };
 }
 
+/** Returns the positions of 16 bits of a rollout in meters. */
+function metersOf(rollout, array) {
+  const { masses_int16: numbers, masses_origin_m: origin, masses_unit_m: unit } = rollout;
+  return Float32Array.from(array(numbers), (value, i) => origin[i % 3] + value * unit);
+}
+
 /** Returns the robots of a scene, in the format of the stage. */
 export function robotsOf({ header, array }) {
   const bodies = new Map();
@@ -45,10 +51,10 @@ export function robotsOf({ header, array }) {
       robot,
       genotype,
       body: bodies.get(genotype),
-      track: array(rollout.masses_m),
+      track: rollout.masses_m ? array(rollout.masses_m) : metersOf(rollout, array),
       actuation: rollout.actuation ? array(rollout.actuation) : undefined,
       contacts: rollout.contacts ? array(rollout.contacts) : undefined,
-      frames: rollout.masses_m.shape[0],
+      frames: (rollout.masses_m ?? rollout.masses_int16).shape[0],
       frameS: header.frame_s,
       lights,
       loss: rollout.loss,

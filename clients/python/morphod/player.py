@@ -108,6 +108,7 @@ def _terrain(world: dict[str, Any]) -> dict[str, Any]:
 def _data(scene: Scene) -> dict[str, Any]:
     worlds = [{"light": list(world.get("light_xy_m", _first_light(scene, place))),
                "points": world.get("task", {}).get("guide", {}).get("points_m"),
+               "task": world.get("task"),
                **_terrain(world)}
               for place, world in enumerate(scene.environments)]
     robots = []
