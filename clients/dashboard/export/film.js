@@ -77,10 +77,11 @@ function paint(context, stage, race) {
     context.fillRect(left + 1.9 * line, y - 0.3 * line, 0.6 * line, 0.6 * line);
     write(names[i], left + 2.8 * line, y, text);
     write(value, left + wide - 0.6 * line, y, text, 'right');
-    const [x, , z] = [stage.placeOf(robot)].flat();
-    if (x === undefined) return;
-    const [px, py] = project(matrix, [x, stage.placeOf(robot)[1], z + 0.3]);
+    const [px, py] = project(matrix, stage.placeOf(robot));
+    const [x, above] = [((px + 1) / 2) * width, ((1 - py) / 2) * height - 2 * line];
+    context.fillStyle = ground;
+    context.fillRect(x - 0.6 * line, above - 0.5 * line, 1.2 * line, line);
     font('700');
-    write(String(i + 1), ((px + 1) / 2) * width, ((1 - py) / 2) * height, robot.color, 'center');
+    write(String(i + 1), x, above, text, 'center');
   });
 }
