@@ -179,18 +179,22 @@ def test_assimp_loads_the_model(model):
         assert shown == pytest.approx(track[frame * n * 3:(frame + 1) * n * 3], abs=0.001)
 
 
-def test_a_page_of_its_own(service, browser, tmp_path):
-    """The saved page needs no service: the robot walks from a file."""
-    browser.open("stage")
+@pytest.mark.parametrize("is_race", [False, True])
+def test_a_page_of_its_own(service, browser, tmp_path, is_race):
+    """The saved page needs no service: the robots walk from a file, side by side or in lanes."""
+    ids = [row["robot"] for row in service.evaluate(
+        {"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]}).json()["results"]]
+    browser.open(f"stage?designs={','.join(ids)}")
     browser.until_walking()
     text = browser.driver.execute_async_script("""
-        const done = arguments[arguments.length - 1];
+        const [isRace, done] = arguments;
         const folder = document.querySelector('script[type=module]').src.replace(/app.js$/, '');
         import(folder + 'export/page.js').then(async ({ toPage }) => {
           const { stage } = document.querySelector('.stage').player;
-          done(await (await toPage(stage.robots, 'A </script><b>race</b>')).text());
+          const page = await toPage(stage.robots, 'A </script><b>race</b>', isRace);
+          done(await page.text());
         });
-    """)
+    """, is_race)
     file = tmp_path / "race.html"
     file.write_text(text)
     browser.driver.get(file.as_uri())
@@ -200,6 +204,12 @@ def test_a_page_of_its_own(service, browser, tmp_path):
     assert browser.run("return document.title") == "A </script><b>race</b>"
     first = browser.pixels()
     assert len({row.tobytes() for row in first}) > 20, "the page draws nothing"
+    side = "return document.getElementById('side').getAttribute('aria-pressed')"
+    assert browser.run(side) == str(not is_race).lower()
+    browser.run("document.getElementById('side').click()")
+    browser.until(f"document.getElementById('side').getAttribute('aria-pressed') === '{is_race}'"
+                  .replace("True", "true").replace("False", "false"))
+    assert browser.run("return window.faults") == []
 
 
 def test_a_link_holds_the_view(service, browser):
