@@ -1,10 +1,12 @@
 /**
  * Charts of growing curves: bands, lines and points on a canvas, with axes, a cursor that shows the
- * values, and a text for screen readers. 100,000 points with a band are drawn at once: all points
- * in one column of pixels are drawn as their range.
+ * values, and a text for screen readers. A drag along x, or a key, zooms; the legend shows and
+ * hides series. 100,000 points with a band are drawn at once: all points in one column of pixels
+ * are drawn as their range.
  */
 
-import { h, paint, swatch } from './dom.js';
+import { ChartGroup } from './chart_group.js';
+import { button, h, paint, patch, say, swatch, toggle } from './dom.js';
 import { number } from './format.js';
 
 /**
@@ -19,6 +21,7 @@ import { number } from './format.js';
  * @property {number[]} [dash]
  * @property {number} [opacity]
  * @property {boolean} [silent] not in the legend, not under the cursor
+ * @property {string} [of] hidden together with the series of this name
  */
 
 const MARGIN = { left: 58, right: 12, top: 10, bottom: 26 };
@@ -27,6 +30,8 @@ const LINE_PX = 1.8;
 const POINT_PX = 3;
 /** A line with more points per pixel than this is drawn as the range of each column of pixels. */
 const DENSE = 2;
+/** A shorter drag is a click. */
+const DRAG_PX = 8;
 
 /** Returns round steps of an axis: about `n` of them between two values. */
 export function ticks(from, to, n) {
@@ -68,90 +73,197 @@ export function lastAtMost(list, value) {
   return low - 1;
 }
 
+/** Returns the index of the value of an ascending list that is nearest to `value`. */
+function nearest(list, value) {
+  const i = Math.max(0, lastAtMost(list, value));
+  return i + 1 < list.length && list[i + 1] - value < value - list[i] ? i + 1 : i;
+}
+
 export class Chart {
   /**
    * @param {{title: string, unit?: string, xName?: string, log?: boolean, height?: number,
    *          minimum?: number, maximum?: number, empty?: string, note?: string, isWhole?: boolean,
    *          xRange?: [number, number], xText?: function(number): string,
    *          yText?: function(number): string}} options isWhole: false if the axis has values
-   *          between whole numbers; xRange: fixes the axis, whatever the values
+   *          between whole numbers; xRange: fixes the axis, whatever the values; log: unless the
+   *          user or a value says otherwise
    */
   constructor(options) {
-    this.options = { xName: 'generation', height: 220, empty: 'No values yet.',
+    this.options = { key: '', xName: 'generation', height: 220, empty: 'No values yet.',
       xText: (x) => number(x, 6), yText: number, ...options };
-    const { note } = this.options;
+    const { note, xRange } = this.options;
+    this.join(new ChartGroup());
     /** @type {Series[]} */
     this.series = [];
     this.range = null;
-    this.cursor = -1;
-    this.canvas = h('canvas', {
-      tabindex: 0, role: 'img', 'aria-label': `${options.title}: no values yet`,
-    });
+    /** @type {{from: number, to: number}|null} pixels of a drag */
+    this.drag = null;
+    this.canvas = h('canvas', { tabindex: 0, role: 'img',
+      'aria-label': `${options.title}: no values yet`, 'aria-keyshortcuts': '+ - 0' });
     this.canvas.style.minHeight = `${this.options.height}px`;
-    this.readout = h('div.readout', { 'aria-live': 'polite' });
+    this.readout = h('div.readout');
     this.legend = h('div.legend');
+    this.whole = button('Whole', () => this.group.zoomTo(null), { class: 'small', hidden: true,
+      title: 'Show all values again: double-click, or the key 0' });
+    this.logToggle = xRange ? null : toggle('log', false,
+      (on) => this.group.setLog(this.options.key, on),
+      { class: 'small', 'aria-label': `Logarithmic axis: ${options.title}` });
     this.element = h('figure.panel.chart', {},
       h('figcaption', {}, h('h3', {}, options.title), note ? h('span.muted', {}, note) : null,
-        this.legend), this.canvas, this.readout);
-    this.canvas.addEventListener('pointermove', (event) => this.#point(event.offsetX));
-    this.canvas.addEventListener('pointerleave', () => this.#moveCursor(-1));
-    this.canvas.addEventListener('keydown', (event) => this.#key(event));
+        this.legend, this.whole, this.logToggle), this.canvas, this.readout);
+    this.#listen(!xRange);
     this.observer = new ResizeObserver(() => this.draw());
     this.observer.observe(this.canvas);
+  }
+
+  #listen(zooms) {
+    const { canvas } = this;
+    const on = (type, listener) => canvas.addEventListener(type, listener);
+    on('pointerdown', (event) => {
+      if (event.button !== 0 || !this.scale) return;
+      this.#point(event.offsetX);
+      if (!zooms) return;
+      canvas.setPointerCapture(event.pointerId);
+      this.drag = { from: event.offsetX, to: event.offsetX };
+    });
+    on('pointermove', (event) => {
+      this.#point(event.offsetX);
+      if (!this.drag) return;
+      this.drag.to = event.offsetX;
+      this.draw();
+    });
+    on('pointerup', () => this.#zoomToDrag());
+    on('pointercancel', () => {
+      this.drag = null;
+      this.draw();
+    });
+    // A finger that was lifted leaves its cursor.
+    on('pointerleave', ({ pointerType }) => {
+      if (pointerType !== 'touch') this.group.point(null, this);
+    });
+    on('dblclick', () => this.group.zoomTo(null));
+    on('focus', () => {
+      const main = this.#main();
+      if (!main || !canvas.matches(':focus-visible')) return;
+      this.group.point(this.group.cursor ?? main.x[main.x.length - 1], this);
+    });
+    on('blur', () => this.group.point(null, this));
+    on('keydown', (event) => this.#key(event, zooms));
+  }
+
+  #isShown(s) {
+    return !this.group.hidden.has(`${this.options.key}.${s.of ?? s.name}`);
+  }
+
+  /** The shown series. */
+  #shown() {
+    return this.series.filter((s) => this.#isShown(s));
+  }
+
+  /** The series whose values the cursor goes to. @returns {any} */
+  #main() {
+    return this.#shown().find((s) => !s.silent && s.x.length);
+  }
+
+  /** Zooms, and has the cursor, together with the charts of a group. @param {string} key its name
+   * in a link */
+  join(group, key = '') {
+    this.group?.charts.delete(this);
+    this.group = group;
+    this.options.key = key;
+    group.charts.add(this);
+    return this;
   }
 
   /** Sets what to draw. @param {Series[]} series */
   set(series) {
     this.series = series;
+    this.update();
+  }
+
+  /** Shows what the group has chosen. */
+  update() {
+    const { group, options: { key, log = false, xName } } = this;
+    const known = this.series.filter((s) => !s.silent);
+    const [, , least] = this.#extent(-Infinity, Infinity);
+    this.isLog = (group.scales.get(key) ?? log) && !(least <= 0);
+    if (this.logToggle) {
+      this.logToggle.disabled = least <= 0;
+      this.logToggle.title = least <= 0 ? 'A logarithmic axis needs values above 0'
+        : 'Logarithmic axis';
+      this.logToggle.setAttribute('aria-pressed', String(this.isLog));
+    }
     this.range = this.#range();
-    this.readout.dataset.axis = this.range ? this.options.xName : '';
-    this.legend.replaceChildren(...series.filter((s) => !s.silent).map((s) => {
+    this.readout.dataset.axis = this.range ? xName : '';
+    this.whole.hidden = !group.zoom;
+    patch(this.legend, known, (s) => `${known.length > 1} ${s.name}`, (s) => {
       const sample = swatch(s.color,
         s.kind === 'band' ? '' : `.line${s.dash?.length ? '.dashed' : ''}`);
       sample.style.opacity = String(s.opacity ?? 1);
-      return h('span', {}, sample, s.name);
-    }));
+      const one = known.length > 1 ? toggle('', true, (on) => group.show(`${key}.${s.name}`, on),
+        { title: 'Show or hide' }) : h('span');
+      one.append(sample, s.name);
+      return one;
+    }, (element, s) => {
+      if (known.length > 1) element.setAttribute('aria-pressed', String(this.#isShown(s)));
+    });
     this.canvas.setAttribute('aria-label', this.#summary());
-    this.draw();
+    this.showCursor(false);
   }
 
   destroy() {
+    this.group.charts.delete(this);
     this.observer.disconnect();
   }
 
+  /** Says why there is no value. */
+  #nothing() {
+    const { empty } = this.options;
+    if (!this.series.some((s) => s.x.length)) return empty;
+    if (!this.#main()) return 'All series are hidden.';
+    return this.group.zoom ? 'No value in this range.' : empty;
+  }
+
   #summary() {
-    const { title, xName } = this.options;
-    const shown = this.series.filter((s) => !s.silent && s.kind !== 'band' && s.x.length);
+    const { xName, xText } = this.options;
+    const title = this.options.title + (this.group.zoom
+      ? `, ${xName} ${this.group.zoom.map(xText).join(' to ')}` : '');
+    const shown = this.#shown().filter((s) => !s.silent && s.kind !== 'band' && s.x.length);
     const parts = shown.map((s) => {
       const last = s.x.length - 1;
       return `${s.name} from ${number(s.y[0])} at ${xName} ${number(s.x[0])} ` +
         `to ${number(s.y[last])} at ${xName} ${number(s.x[last])}`;
     });
     return this.range && parts.length ? `${title}: ${parts.join('; ')}`
-      : `${title}: ${this.options.empty}`;
+      : `${title}: ${this.#nothing()}`;
   }
 
-  #range() {
+  /** Returns the range of x and y of the shown values from one x to another. */
+  #extent(from, to) {
     let [x0, x1, y0, y1] = [Infinity, -Infinity, Infinity, -Infinity];
-    const least = this.options.log ? 0 : -Infinity;
-    for (const s of this.series) {
-      const n = s.x.length;
-      if (!n) continue;
+    for (const s of this.#shown()) {
+      if (!s.x.length) continue;
       x0 = Math.min(x0, s.x[0]);
-      x1 = Math.max(x1, s.x[n - 1]);
+      x1 = Math.max(x1, s.x[s.x.length - 1]);
       for (const list of s.kind === 'band' ? [s.low, s.high] : [s.y]) {
-        for (let i = 0; i < n; i++) {
+        for (let i = Math.max(0, lastAtMost(s.x, from)); i < s.x.length && s.x[i] <= to; i++) {
           const value = list[i];
-          if (!Number.isFinite(value) || value <= least) continue;
+          if (!Number.isFinite(value) || s.x[i] < from) continue;
           if (value < y0) y0 = value;
           if (value > y1) y1 = value;
         }
       }
     }
+    return [x0, x1, y0, y1];
+  }
+
+  #range() {
+    const { zoom } = this.group;
+    let [x0, x1, y0, y1] = this.#extent(...(zoom ?? [-Infinity, Infinity]));
     if (!Number.isFinite(x0) || !Number.isFinite(y0)) return null;
-    if (this.options.xRange) [x0, x1] = this.options.xRange;
+    if (this.options.xRange ?? zoom) [x0, x1] = this.options.xRange ?? zoom;
     else if (x1 === x0) x1 = x0 + 1;
-    if (this.options.log) {
+    if (this.isLog) {
       if (y1 / y0 < 1.2) [y0, y1] = [y0 / 1.2, y1 * 1.2];
       return { x0, x1, y0: y0 * 0.94, y1: y1 * 1.06 };
     }
@@ -169,7 +281,7 @@ export class Chart {
     const { range } = this;
     if (!range) {
       context.fillStyle = color('--muted');
-      context.fillText(this.options.empty, MARGIN.left, height / 2);
+      context.fillText(this.#nothing(), MARGIN.left, height / 2);
       this.scale = null;
       return;
     }
@@ -182,7 +294,7 @@ export class Chart {
     context.rect(MARGIN.left - POINT_PX, 0, width - MARGIN.left - MARGIN.right + 2 * POINT_PX + 1,
       height - MARGIN.bottom + POINT_PX);
     context.clip();
-    for (const s of this.series) {
+    for (const s of this.#shown()) {
       context.globalAlpha = s.opacity ?? 1;
       if (s.kind === 'band') this.#band(context, s, scale, color(s.color));
       else if (s.kind === 'points') this.#points(context, s, scale, color(s.color));
@@ -190,13 +302,25 @@ export class Chart {
     }
     context.globalAlpha = 1;
     context.restore();
-    if (this.cursor >= 0) this.#drawCursor(context, scale, height, color);
+    if (this.group.cursor !== null) this.#drawCursor(context, scale, height, color);
+    if (!this.drag) return;
+    const { from, to } = this.drag;
+    context.globalAlpha = 0.2;
+    context.fillStyle = color('--text');
+    context.fillRect(from, MARGIN.top, to - from, height - MARGIN.top - MARGIN.bottom);
+    context.globalAlpha = 1;
+  }
+
+  /** Returns the first and the last value of a series to draw: those in view and their
+   * neighbors. */
+  #inView({ x }, { x0, x1 }) {
+    return [Math.max(0, lastAtMost(x, x0)), Math.min(x.length - 1, lastAtMost(x, x1) + 1)];
   }
 
   #scale({ x0, x1, y0, y1 }, width, height) {
     const [left, right] = [MARGIN.left, width - MARGIN.right];
     const [top, bottom] = [MARGIN.top, height - MARGIN.bottom];
-    const toY = this.options.log ? Math.log : (y) => y;
+    const toY = this.isLog ? Math.log : (y) => y;
     const [low, high] = [toY(y0), toY(y1)];
     return {
       x0, x1, y0, y1,
@@ -207,13 +331,13 @@ export class Chart {
   }
 
   #axes(context, scale, width, height, color) {
-    const { log, isWhole = true, xText, yText } = this.options;
+    const { isWhole = true, xText, yText } = this.options;
     context.strokeStyle = color('--grid');
     context.fillStyle = color('--muted');
     context.lineWidth = 1;
     context.textAlign = 'right';
     context.textBaseline = 'middle';
-    for (const tick of log ? logTicks(scale.y0, scale.y1) : ticks(scale.y0, scale.y1, 4)) {
+    for (const tick of this.isLog ? logTicks(scale.y0, scale.y1) : ticks(scale.y0, scale.y1, 4)) {
       const y = Math.round(scale.y(tick)) + 0.5;
       context.beginPath();
       context.moveTo(MARGIN.left, y);
@@ -236,14 +360,15 @@ export class Chart {
     context.lineWidth = LINE_PX;
     context.lineJoin = 'round';
     context.beginPath();
-    if (s.x.length > DENSE * context.canvas.width) {
+    const [first, last] = this.#inView(s, scale);
+    if (last - first > DENSE * context.canvas.width) {
       // Going up and down in every column would take most of the drawing time.
       context.fillStyle = color;
-      this.#envelope(context, s.x, s.y, s.y, scale);
+      this.#envelope(context, s, s.y, s.y, scale);
       context.fill();
     } else {
       let open = false;
-      for (let i = 0; i < s.x.length; i++) {
+      for (let i = first; i <= last; i++) {
         const isValue = Number.isFinite(s.y[i]);
         if (isValue && open) context.lineTo(scale.x(s.x[i]), scale.y(s.y[i]));
         else if (isValue) context.moveTo(scale.x(s.x[i]), scale.y(s.y[i]));
@@ -264,7 +389,7 @@ export class Chart {
   #band(context, s, scale, color) {
     context.fillStyle = color;
     context.beginPath();
-    this.#envelope(context, s.x, s.low, s.high, scale);
+    this.#envelope(context, s, s.low, s.high, scale);
     context.fill();
   }
 
@@ -272,13 +397,14 @@ export class Chart {
    * Adds the area between two curves to the path. Each column of pixels has its lowest and highest
    * value, so that no peak is lost; where a value is missing there is a gap.
    */
-  #envelope(context, x, low, high, scale) {
+  #envelope(context, { x }, low, high, scale) {
     /** @type {number[][]} x, low, high of each column in a row */
     const parts = [];
     let part = null;
     let column = NaN;
     const ratio = devicePixelRatio;
-    for (let i = 0; i < x.length; i++) {
+    const [first, last] = this.#inView({ x }, scale);
+    for (let i = first; i <= last; i++) {
       if (!Number.isFinite(low[i]) || !Number.isFinite(high[i])) {
         part = null;
         continue;
@@ -317,9 +443,9 @@ export class Chart {
   }
 
   #drawCursor(context, scale, height, color) {
-    const main = this.series.find((s) => !s.silent && s.x.length);
-    if (!main || this.cursor >= main.x.length) return;
-    const x = Math.round(scale.x(main.x[this.cursor])) + 0.5;
+    const { cursor } = this.group;
+    if (cursor < scale.x0 || cursor > scale.x1) return;
+    const x = Math.round(scale.x(cursor)) + 0.5;
     context.strokeStyle = color('--muted');
     context.setLineDash([3, 3]);
     context.beginPath();
@@ -330,46 +456,83 @@ export class Chart {
   }
 
   #point(px) {
-    if (!this.scale) return;
-    const main = this.series.find((s) => !s.silent && s.x.length);
-    if (!main) return;
-    const value = this.scale.back(px);
-    let i = Math.max(0, lastAtMost(main.x, value));
-    if (i + 1 < main.x.length && main.x[i + 1] - value < value - main.x[i]) i++;
-    this.#moveCursor(i);
+    const main = this.#main();
+    if (!this.scale || !main) return;
+    const { x0, x1, back } = this.scale;
+    const x = main.x[nearest(main.x, Math.min(x1, Math.max(x0, back(px))))];
+    if (x >= x0 && x <= x1) this.group.point(x, this);
   }
 
-  #key(event) {
-    const main = this.series.find((s) => !s.silent && s.x.length);
-    if (!main) return;
+  #zoomToDrag() {
+    if (!this.drag || !this.scale) return;
+    const { from, to } = this.drag;
+    this.drag = null;
+    const { x0, x1, back } = this.scale;
+    const ends = [from, to].sort((a, b) => a - b).map((px) => Math.min(x1, Math.max(x0, back(px))));
+    if (Math.abs(to - from) >= DRAG_PX && ends[1] > ends[0]) this.#zoomTo(ends);
+    else this.draw();
+  }
+
+  /** Zooms to a range of x; where x is whole, it has at least two values. */
+  #zoomTo(ends) {
+    const [from, to] = ends;
+    const { isWhole = true } = this.options;
+    const [first, last] = isWhole ? [Math.floor(from + 0.25), Math.ceil(to - 0.25)] : [from, to];
+    this.group.zoomTo([first, Math.max(last, isWhole ? first + 1 : last)]);
+  }
+
+  #key(event, zooms) {
+    const main = this.#main();
+    const { group, range } = this;
+    if (!main || event.ctrlKey || event.metaKey || event.altKey) return;
     const last = main.x.length - 1;
-    const from = this.cursor < 0 ? last : this.cursor;
+    const from = group.cursor === null ? last : nearest(main.x, group.cursor);
     const to = {
       ArrowLeft: from - 1, ArrowRight: from + 1, Home: 0, End: last,
-      PageUp: from - 10, PageDown: from + 10, Escape: -1,
+      PageUp: from - 10, PageDown: from + 10,
     }[event.key];
-    if (to === undefined) return;
+    const factor = { '+': 0.5, '=': 0.5, '-': 2 }[event.key];
+    if (to !== undefined) {
+      const x = main.x[Math.min(last, Math.max(0, to))];
+      // The view goes with the cursor.
+      const off = Math.min(0, x - (group.zoom?.[0] ?? x)) + Math.max(0, x - (group.zoom?.[1] ?? x));
+      if (off) group.zoomTo(group.zoom.map((end) => end + off));
+      group.point(x, this);
+    } else if (event.key === 'Escape') {
+      group.point(null, this);
+    } else if (zooms && event.key === '0') {
+      group.zoomTo(null);
+    } else if (zooms && factor && range) {
+      const [x0, x1] = this.#extent(-Infinity, Infinity);
+      const at = group.cursor ?? (range.x0 + range.x1) / 2;
+      const ends = [Math.max(x0, at - (at - range.x0) * factor),
+        Math.min(x1, at + (range.x1 - at) * factor)];
+      if (ends[0] <= x0 && ends[1] >= x1) group.zoomTo(null);
+      else if (ends[1] > ends[0]) this.#zoomTo(ends);
+    } else {
+      return;
+    }
     event.preventDefault();
-    this.#moveCursor(event.key === 'Escape' ? -1 : Math.min(last, Math.max(0, to)));
   }
 
-  #moveCursor(i) {
-    if (i === this.cursor) return;
-    this.cursor = i;
-    const main = this.series.find((s) => !s.silent && s.x.length);
-    if (i < 0 || !main) {
-      this.readout.textContent = '';
+  /** Shows the values at the cursor of the group. isOwn: this chart has the pointer or the focus. */
+  showCursor(isOwn) {
+    const { xName, xText, yText } = this.options;
+    const { cursor } = this.group;
+    const main = this.#main();
+    const text = (value) => (Number.isFinite(value) ? yText(value) : '–');
+    this.readout.setAttribute('aria-live', isOwn ? 'polite' : 'off');
+    if (cursor === null || !main) {
+      say(this.readout, '');
     } else {
-      const x = main.x[i];
-      const values = this.series.filter((s) => !s.silent).map((s) => {
-        const at = lastAtMost(s.x, x);
-        if (at < 0 || s.x[at] !== x) return null;
-        const text = s.kind === 'band' ? `${number(s.low[at])} to ${number(s.high[at])}`
-          : number(s.y[at]);
-        return `${s.name} ${text}`;
+      const x = main.x[nearest(main.x, cursor)];
+      const values = this.#shown().filter((s) => !s.silent).map((s) => {
+        if (!(s.x[0] <= x && x <= s.x[s.x.length - 1])) return null;
+        const i = nearest(s.x, x);
+        const value = s.kind === 'band' ? `${text(s.low[i])} to ${text(s.high[i])}` : text(s.y[i]);
+        return `${s.name} ${value}${s.x[i] === x ? '' : ` at ${xText(s.x[i])}`}`;
       });
-      this.readout.textContent =
-        `${this.options.xName} ${this.options.xText(x)}: ${values.filter(Boolean).join(' · ')}`;
+      say(this.readout, `${xName} ${xText(x)}: ${values.filter(Boolean).join(' · ')}`);
     }
     this.draw();
   }

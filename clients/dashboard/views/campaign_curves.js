@@ -2,6 +2,7 @@
 
 import { Curve } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
+import { ChartGroup, axisIn, axisRow, sums, timeUnit } from '../lib/chart_group.js';
 import { h } from '../lib/dom.js';
 import { percent } from '../lib/format.js';
 import { meters } from '../lib/tasks.js';
@@ -10,8 +11,14 @@ import { Comparison, DASHES, HUES } from './comparison.js';
 import { emptyText } from './jobs.js';
 import { SettingsDiff } from './settings_diff.js';
 
+/**
+ * What x may be. Rollouts are those computed for scores, without those cut short; time is wall time
+ * without pauses.
+ */
+const AXES = ['generation', 'rollouts', 'time'];
+
 /** Returns the charts of a campaign, by name. */
-function chartsOf({ job, own, measure, shown }) {
+function chartsOf({ job, own, measure, shown }, group) {
   const { racing, selection, learning } = job().settings;
   const empty = 'No generation is complete yet.';
   /** @type {Object<string, Chart>} */
@@ -38,27 +45,42 @@ function chartsOf({ job, own, measure, shown }) {
   if (learning !== null) {
     charts.learning = new Chart({ title: 'Loss while learning, in each generation' });
   }
+  for (const [key, chart] of Object.entries(charts)) chart.join(group, key);
   return charts;
 }
+
+const secondsOf = ({ seconds }) => seconds;
 
 export class CampaignCurves {
   constructor(shared) {
     this.shared = shared;
-    const { id, others, get, job, app } = shared;
+    const { id, others, get, job, app, parameters } = shared;
     const ids = [id, ...others];
+    // A study with scores of its own need not compute any rollouts.
+    const axes = AXES.filter((axis) => axis !== 'rollouts' || !job().study?.own_score);
+    this.axis = axisIn(parameters, axes);
+    this.group = new ChartGroup(parameters, app.keep);
     const { group } = job();
     this.curves = ids.map((one) => new Curve(`v1/campaigns/${one}/generations`));
     this.replicates = group.replicates > 1
       ? new Curve(`v1/campaigns/${group.id}/replicates`) : null;
-    this.compared = others.length ? new Comparison(ids, get) : null;
-    this.charts = chartsOf(shared);
+    this.compared = others.length ? new Comparison(ids, get,
+      // It is over replicates, of which only the generations are comparable.
+      this.axis === 'generation' ? this.group : new ChartGroup()) : null;
+    this.charts = chartsOf(shared, this.group);
+    this.group.check();
     this.stage = new CampaignStage(shared);
     this.champions = new Champions(shared, this.stage);
     const { scores, diversity, operators, ...rest } = this.charts;
     this.element = h('div.stack', {}, this.compared?.element,
       others.length ? new SettingsDiff(app, job(), others, get).element : null,
       h('div.grid', {}, h('div.stack', {}, this.stage.element, this.champions.element),
-        h('div.stack', {}, scores.element, diversity.element, operators.element)),
+        h('div.stack', {}, axisRow(axes, this.axis, (axis) => {
+          this.axis = axis;
+          app.keep({ x: axis === AXES[0] ? null : axis });
+          this.group.zoomTo(null);
+          this.#show();
+        }), scores.element, diversity.element, operators.element)),
       h('div.grid', {}, Object.values(rest).map((chart) => chart.element)));
     this.#show();
   }
@@ -78,7 +100,18 @@ export class CampaignCurves {
     const { measure, others } = this.shared;
     const campaign = this.shared.job();
     const { rows } = curves[0];
-    const x = column(rows, (row) => row.generation);
+    const time = timeUnit(Math.max(...curves.map((curve) => sums(curve.rows, secondsOf).at(-1) ?? 0)));
+    Object.values(charts).forEach((chart) => Object.assign(chart.options, {
+      xName: this.axis === 'time' ? time.name : this.axis,
+      isWhole: this.axis === 'generation',
+    }));
+    /** @type {(rows: any[]) => Float64Array} */
+    const along = {
+      generation: (list) => column(list, (row) => row.generation),
+      rollouts: (list) => sums(list, (row) => row.rollouts),
+      time: (list) => sums(list, (row) => secondsOf(row) / time.unitS),
+    }[this.axis];
+    const x = along(rows);
     const inUnit = measure?.valueOf ?? ((loss) => loss);
     const quantile = (name) => column(rows, (row) => inUnit(row.score.quantiles[name]));
     /** A lower loss is a higher value. */
@@ -93,7 +126,8 @@ export class CampaignCurves {
       { name: 'median', x, y: quantile('p50'), color: '--blue' },
       { name: 'best', x, y: quantile('p0'), color: '--orange' },
     ];
-    if (replicates?.rows.length) {
+    // Statistics over replicates are of a generation, whatever each has cost.
+    if (replicates?.rows.length && this.axis === 'generation') {
       const r = replicates.rows;
       const rx = column(r, (row) => row.generation);
       scores.unshift({
@@ -105,7 +139,7 @@ export class CampaignCurves {
     }
     others.forEach((other, i) => {
       const { rows: r } = curves[i + 1];
-      const ox = column(r, (row) => row.generation);
+      const ox = along(r);
       scores.push({ name: `25 to 75 % of ${other}`, kind: 'band', x: ox, y: ox, color: HUES[i + 1],
         opacity: 0.18,
         low: column(r, (row) => row.score.quantiles.p25),

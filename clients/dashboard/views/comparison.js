@@ -30,8 +30,11 @@ function differenceOf(one, other) {
 
 /** Replicates of a campaign form one side: their mean, and the spread that gives the interval. */
 export class Comparison {
-  /** @param {string[]} ids @param {function(string): Promise<any>} get */
-  constructor(ids, get) {
+  /**
+   * @param {string[]} ids @param {function(string): Promise<any>} get
+   * @param {import('../lib/chart_group.js').ChartGroup} group
+   */
+  constructor(ids, get, group) {
     this.ids = ids;
     this.get = get;
     /**
@@ -40,7 +43,7 @@ export class Comparison {
      */
     this.sides = null;
     this.chart = new Chart({ title: 'Best score, mean and range over replicates', log: true,
-      empty: 'No generation is complete yet.' });
+      empty: 'No generation is complete yet.' }).join(group, 'compared');
     this.body = h('tbody');
     this.note = h('p.muted');
     this.element = h('section.grid', { 'aria-label': 'Comparison' }, this.chart.element,
@@ -93,7 +96,7 @@ export class Comparison {
       return [
         ...(all.length > 1
           ? [{ name: `least to most of ${id}`, kind: /** @type {'band'} */ ('band'), silent: true,
-            x, y: x, color: HUES[i], opacity: 0.2, low: at((values) => Math.min(...values)),
+            of: `campaign ${id}`, x, y: x, color: HUES[i], opacity: 0.2, low: at((values) => Math.min(...values)),
             high: at((values) => Math.max(...values)) }]
           : []),
         { name: `campaign ${id}`, x, color: HUES[i], dash: DASHES[i],

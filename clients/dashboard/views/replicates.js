@@ -2,6 +2,7 @@
 
 import { Curve, getJson } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
+import { ChartGroup, axisRow } from '../lib/chart_group.js';
 import { h, patch, patchRow, say, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { inOwnUnit, score } from '../lib/format.js';
@@ -26,16 +27,19 @@ function seriesOf(rows, name, color) {
   ];
 }
 
-export async function mount(main, id, app) {
+export async function mount(main, id, parameters, app) {
   const stop = new AbortController();
   const get = (url) => getJson(url, { signal: stop.signal });
   const campaign = { ...await get(`v1/campaigns/${id}`), kind: 'campaign' };
   const { group } = campaign;
   const curve = new Curve(`v1/campaigns/${group.id}/replicates`);
+  const together = new ChartGroup(parameters, app.keep);
   const charts = SPREADS.map(([name, title, color]) => ({
     name, color, chart: new Chart({ title, note: name === 'diversity' ? '' : 'lower is better',
-      log: name !== 'diversity', empty: 'No generation is complete in all replicates yet.' }),
+      log: name !== 'diversity', empty: 'No generation is complete in all replicates yet.' })
+      .join(together, name),
   }));
+  together.check();
   const body = h('tbody');
   const about = h('span.muted');
   const note = h('p.muted');
@@ -47,7 +51,7 @@ export async function mount(main, id, app) {
         morphoctl: `campaign export ${group.id} --replicates -`,
         python: `print(m.campaigns(group="${group.id}").curves())`,
       })))),
-    h('div.grid', {}, charts.map(({ chart }) => chart.element)),
+    axisRow([], '', null), h('div.grid', {}, charts.map(({ chart }) => chart.element)),
     h('section.panel.stack', { 'aria-label': 'Replicates' }, note, h('div.scroll', {}, table(
       ['Replicate', 'Seed', 'State', 'Progress', 'Best score'], body,
       (name) => /Seed|Best/.test(name)))));

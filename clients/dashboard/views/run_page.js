@@ -13,7 +13,7 @@ const POLL_MS = 2000;
 /**
  * What the tabs and the head of a run's page share.
  * @typedef {{app: import('../app.js').app, id: string, get: function(string): Promise<any>,
- *   others: string[], signal: AbortSignal, job: () => any, refreshJob: () => Promise<void>,
+ *   others: string[], parameters: URLSearchParams, signal: AbortSignal, job: () => any, refreshJob: () => Promise<void>,
  *   [own: string]: any}} Shared
  */
 
@@ -36,7 +36,8 @@ export async function mountRun(main, [id, part = ''], parameters, app, { kind, t
   let job = await load();
   const others = comparedIn(parameters, id);
   /** @type {Shared} */
-  const shared = { app, id, get, others, signal: stop.signal, job: () => job, refreshJob };
+  const shared = { app, id, get, others, parameters, signal: stop.signal, job: () => job,
+    refreshJob };
   const { about, ...parts } = await prepare(shared);
   const head = new RunHead(app, job, { changed: () => later(), others, ...parts });
   const place = h('div.stack');
@@ -80,6 +81,7 @@ export async function mountRun(main, [id, part = ''], parameters, app, { kind, t
     turnTo([other, end = ''], query) {
       const isHere = other === id && Object.hasOwn(tabs, end) &&
         (query.get('compare') ?? '') === others.join(',');
+      shared.parameters = query;
       if (isHere) turnTo(end).catch((error) => announce(error.message, { isRefusal: true }));
       return isHere;
     },

@@ -2,6 +2,7 @@
 
 import { Curve } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
+import { ChartGroup, axisIn, axisRow, sums, timeUnit } from '../lib/chart_group.js';
 import { h } from '../lib/dom.js';
 import { percent } from '../lib/format.js';
 import { taskWords, worldsOfTraining } from '../lib/tasks.js';
@@ -11,6 +12,8 @@ import { SettingsTab } from './settings.js';
 import { SettingsDiff } from './settings_diff.js';
 import { copyButton, saveLink } from './share.js';
 
+/** What x may be: robots are the steps times the batch; time is wall time. */
+const AXES = ['step', 'robots', 'time'];
 const HUES = ['--blue', '--orange', '--green', '--pink'];
 
 export function mount(main, path, parameters, app) {
@@ -40,15 +43,17 @@ async function prepare({ id, get, job }) {
 
 /**
  * Returns the curve of a group: its rows, or the mean, minimum and maximum of its replicates
- * where all have a row.
+ * where all have a row. along: returns x of a step of a member.
  */
-function curveOf({ members }, curves, name) {
+function curveOf({ members }, curves, along, take) {
   const lists =
-    members.map((i) => new Map(curves[i].rows.map((row) => [row.step, row[name] ?? NaN])));
-  const x = [...lists[0].keys()].filter((step) => lists.every((list) => list.has(step)));
-  const values = x.map((step) => lists.map((list) => list.get(step)));
+    members.map((i) => new Map(curves[i].rows.map((row) => [row.step, take(row) ?? NaN])));
+  const steps = [...lists[0].keys()].filter((step) => lists.every((list) => list.has(step)) &&
+    members.every((i) => Number.isFinite(along(i, step))));
+  const values = steps.map((step) => lists.map((list) => list.get(step)));
   return {
-    x, y: values.map((all) => all.reduce((sum, one) => sum + one, 0) / all.length),
+    x: steps.map((step) => members.reduce((sum, i) => sum + along(i, step), 0) / members.length),
+    y: values.map((all) => all.reduce((sum, one) => sum + one, 0) / all.length),
     low: values.map((all) => Math.min(...all)), high: values.map((all) => Math.max(...all)),
   };
 }
@@ -56,14 +61,17 @@ function curveOf({ members }, curves, name) {
 class TrainingCurves {
   constructor(shared) {
     this.shared = shared;
-    const { id, others, job, get, app } = shared;
+    const { id, others, job, get, app, parameters } = shared;
     this.ids = [id, ...others];
     this.steps = this.ids.map((one) => new Curve(`v1/trainings/${one}/steps`));
     this.validations = this.ids.map((one) => new Curve(`v1/trainings/${one}/validations`));
     /** Trainings that differ only in their seeds are replicates: one band shows a group of them. */
     this.groups = this.ids.map((one, i) =>
-      ({ name: others.length ? `training ${one}` : '', members: [i] }));
+      ({ name: others.length ? `training ${one}` : '', of: '', members: [i] }));
     this.found = null;
+    this.batches = [job().settings.batch];
+    this.axis = axisIn(parameters, AXES);
+    const group = new ChartGroup(parameters, app.keep);
     this.charts = [
       new Chart({ title: 'Mean loss of the batch', xName: 'step', log: true, height: 280,
         empty: 'No step is complete yet.' }),
@@ -71,15 +79,23 @@ class TrainingCurves {
         empty: 'No validation yet.' }),
       new Chart({ title: 'Gradient norm', xName: 'step', log: true }),
       new Chart({ title: 'Share of clipped adjoints', xName: 'step', minimum: 0, yText: percent }),
-    ];
+    ].map((chart, i) => chart.join(group, ['loss', 'held-out', 'gradient', 'clipped'][i]));
+    group.check();
     this.element = h('div.stack', {},
       others.length ? new SettingsDiff(app, job(), others, get).element : null,
+      axisRow(AXES, this.axis, (axis) => {
+        this.axis = axis;
+        app.keep({ x: axis === AXES[0] ? null : axis });
+        group.zoomTo(null);
+        this.#show();
+      }),
       h('div.grid', {}, this.charts.map((chart) => chart.element)));
   }
 
   async #findReplicates() {
     const { ids, shared: { get } } = this;
     const items = await Promise.all(ids.map((one) => get(`v1/trainings/${one}`)));
+    this.batches = items.map(({ settings }) => settings.batch);
     const keys = items.map(({ kind, parent, settings: { seed, ...rest } }) =>
       JSON.stringify([kind, parent, rest]));
     this.groups = [...new Set(keys)].flatMap((key) => {
@@ -87,9 +103,16 @@ class TrainingCurves {
       const seeds = new Set(members.map((i) => items[i].settings.seed));
       // Equal trainings with the same seed are not replicates.
       return members.length > 1 && seeds.size === members.length
-        ? [{ members, name: `mean of ${members.length} replicates` }]
-        : members.map((i) => ({ name: `training ${ids[i]}`, members: [i] }));
+        ? [{ members, name: `mean of ${members.length} replicates`, of: '' }]
+        : members.map((i) => ({ name: `training ${ids[i]}`, of: '', members: [i] }));
     });
+    const bands = this.groups.filter(({ members }) => members.length > 1);
+    if (bands.length > 1) {
+      for (const band of bands) {
+        band.of = ` of ${band.members.map((i) => ids[i]).join(' and ')}`;
+        band.name = `mean${band.of}`;
+      }
+    }
   }
 
   async refresh() {
@@ -102,27 +125,42 @@ class TrainingCurves {
   #show() {
     const { groups, steps, validations, charts: [loss, held, norm, clipped] } = this;
     const { batch } = this.shared.job().settings;
-    const each = (curves, name) => groups.flatMap((group, i) => {
-      const { x, y, low, high } = curveOf(group, curves, name);
+    const times = steps.map(({ rows }) => sums(rows, (row) => row.seconds));
+    const time = timeUnit(Math.max(...times.map((list) => list.at(-1) ?? 0)));
+    this.charts.forEach((chart) => Object.assign(chart.options, {
+      xName: this.axis === 'time' ? time.name : this.axis, isWhole: this.axis === 'step' }));
+    /** @type {(i: number, step: number) => number} */
+    const along = {
+      step: (i, step) => step,
+      robots: (i, step) => step * this.batches[i],
+      // A validation may be newer than the steps.
+      time: (i, step) => (step ? (times[i][step - 1] ?? NaN) / time.unitS : 0),
+    }[this.axis];
+    const each = (curves, name, take = (row) => row[name]) => groups.flatMap((group, i) => {
+      const { x, y, low, high } = curveOf(group, curves, along, take);
       const line = { name: group.name || name.replaceAll('_', ' '), color: HUES[i], x, y };
       return group.members.length < 2 ? [line]
-        : [{ name: 'least to most', kind: 'band', x, y: x, low, high, color: HUES[i],
+        : [{ name: `least to most${group.of}`, kind: 'band', x, y: x, low, high, color: HUES[i],
           opacity: 0.2 }, line];
     });
     loss.options.empty =
       emptyText(batch, steps[0].rows.at(-1)?.diverged, 'No step is complete yet.');
     loss.set(each(steps, 'mean_loss'));
-    norm.set(each(steps, 'gradient_norm'));
+    // A step that was skipped has no gradient.
+    norm.set(each(steps, 'gradient_norm', (row) => (row.skipped ? null : row.gradient_norm)));
     clipped.set(each(steps, 'clipped_share'));
     held.set(groups.flatMap((group, i) => {
       if (group.members.length > 1) return /** @type {any[]} */ (each(validations, 'mean_score')
         .filter(({ color }) => color === HUES[i]));
-      const { rows } = validations[group.members[0]];
-      const x = column(rows, (row) => row.step);
+      const [member] = group.members;
+      const rows = validations[member].rows.filter(({ step }) =>
+        Number.isFinite(along(member, step)));
+      const x = column(rows, (row) => along(member, row.step));
       const bound = (sign) => column(rows, (row) =>
         (row.mean_score === null ? null : row.mean_score + sign * (row.standard_error ?? 0)));
       return [
-        { name: 'standard error', kind: 'band', silent: true, x, y: x, low: bound(-1),
+        { name: 'standard error', kind: 'band', silent: true, x, y: x,
+          of: group.name || 'held-out score', low: bound(-1),
           high: bound(1), color: HUES[i], opacity: 0.2 },
         { name: group.name || 'held-out score', x, y: column(rows, (row) => row.mean_score),
           color: HUES[i] },

@@ -1,0 +1,102 @@
+/** What the charts of a page share: the range of x, the cursor, and what their link keeps. */
+
+import { LinkError } from './api.js';
+import { h, select } from './dom.js';
+
+const listIn = (parameters, name, mark) => (parameters.get(name) ?? '').split(mark).filter(Boolean);
+
+export class ChartGroup {
+  /**
+   * @param {URLSearchParams} [parameters] of the link: zoom=FROM..TO, log and linear=CHART,…,
+   *   hide=CHART.SERIES|…
+   * @param {function(Object<string, string|null>): void} [keep] keeps them in the link
+   */
+  constructor(parameters = new URLSearchParams(), keep = () => {}) {
+    this.keep = keep;
+    /** @type {Set<import('./chart.js').Chart>} */
+    this.charts = new Set();
+    /** @type {number|null} */
+    this.cursor = null;
+    /** @type {number[]|null} the range of x; null: all */
+    this.zoom = null;
+    const zoom = parameters.get('zoom');
+    if (zoom !== null) {
+      this.zoom = zoom.split('..').map(Number);
+      const [from, to] = this.zoom;
+      if (this.zoom.length !== 2 || !/^[^.].*[^.]$/.test(zoom) || !(to - from < Infinity) ||
+        from >= to) {
+        throw new LinkError(`zoom=${zoom}: a range such as 10..40 is expected.`);
+      }
+    }
+    /** Whether y is logarithmic, by the keys of the charts whose usual scale was changed. */
+    this.scales = new Map([...listIn(parameters, 'log', ',').map((key) => [key, true]),
+      ...listIn(parameters, 'linear', ',').map((key) => [key, false])]);
+    this.hidden = new Set(listIn(parameters, 'hide', '|'));
+  }
+
+  /** Refuses a link that names a chart that is not here. */
+  check() {
+    const keys = [...this.charts].map(({ options: { key } }) => key);
+    const wrong = [...this.scales.keys(), ...[...this.hidden].map((one) => one.split('.')[0])]
+      .find((key) => !keys.includes(key));
+    if (wrong === undefined) return;
+    throw new LinkError(`There is no chart ${wrong}; there are ${keys.join(', ')}.`);
+  }
+
+  /** Shows a range of x in all charts; null: all of it. */
+  zoomTo(range) {
+    this.zoom = range?.map((x) => Number(x.toPrecision(6))) ?? null;
+    this.#changed();
+  }
+
+  setLog(key, isLog) {
+    this.scales.set(key, isLog);
+    this.#changed();
+  }
+
+  /** Shows or hides a series. @param {string} name CHART.SERIES */
+  show(name, isShown) {
+    if (isShown) this.hidden.delete(name);
+    else this.hidden.add(name);
+    this.#changed();
+  }
+
+  #changed() {
+    const keys = (isLog) => [...this.scales].filter(([, one]) => one === isLog)
+      .map(([key]) => key).join(',');
+    this.keep({ zoom: this.zoom && this.zoom.join('..'), log: keys(true), linear: keys(false),
+      hide: [...this.hidden].join('|') });
+    this.charts.forEach((chart) => chart.update());
+  }
+
+  /** Moves the cursor of all charts to x; null: away. @param {any} from the chart in use */
+  point(x, from) {
+    if (x === this.cursor) return;
+    this.cursor = x;
+    this.charts.forEach((chart) => chart.showCursor(chart === from));
+  }
+}
+
+/** Returns the sums of the rows up to each. */
+export function sums(rows, take) {
+  let sum = 0;
+  return Float64Array.from(rows, (row) => { sum += take(row) ?? 0; return sum; });
+}
+
+/** Returns the unit of an axis that ends after some seconds: its name, and its seconds. */
+export function timeUnit(seconds) {
+  if (seconds < 120) return { name: 'seconds', unitS: 1 };
+  return seconds < 7200 ? { name: 'minutes', unitS: 60 } : { name: 'hours', unitS: 3600 };
+}
+
+/** Returns the choice of what x is, and how to zoom, to stand above the charts of a page. */
+export const axisRow = (axes, axis, chosen) => h('div.row', {}, axes.length > 1
+  ? select('Horizontal axis', axes, axis, chosen) : null,
+h('span.muted', {}, 'Drag along a chart to zoom; double-click to see all.'));
+
+/** Returns the choice of a link among the quantities that x may be. @param {string[]} axes */
+export function axisIn(parameters, axes) {
+  const axis = parameters.get('x') ?? axes[0];
+  if (axes.includes(axis)) return axis;
+  throw new LinkError(`x=${axis}: one of ${axes.join(', ')} is expected.`);
+}
