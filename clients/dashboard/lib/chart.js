@@ -110,7 +110,7 @@ export class Chart {
       { class: 'small', 'aria-label': `Logarithmic axis: ${options.title}` });
     this.element = h('figure.panel.chart', {},
       h('figcaption', {}, h('h3', {}, options.title), note ? h('span.muted', {}, note) : null,
-        this.legend, this.whole, this.logToggle), this.canvas, this.readout);
+        this.legend, h('span.row', {}, this.whole, this.logToggle)), this.canvas, this.readout);
     this.#listen(!xRange);
     this.observer = new ResizeObserver(() => this.draw());
     this.observer.observe(this.canvas);

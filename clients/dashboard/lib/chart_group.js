@@ -90,9 +90,12 @@ export function timeUnit(seconds) {
 }
 
 /** Returns the choice of what x is, and how to zoom, to stand above the charts of a page. */
-export const axisRow = (axes, axis, chosen) => h('div.row', {}, axes.length > 1
-  ? select('Horizontal axis', axes, axis, chosen) : null,
-h('span.muted', {}, 'Drag along a chart to zoom; double-click to see all.'));
+export function axisRow(axes, axis, chosen) {
+  const choice = axes.length > 1 ? select('Horizontal axis', axes, axis, chosen) : null;
+  choice?.classList.add('inline');
+  return h('div.row', {}, choice,
+    h('span.muted', {}, 'Drag along a chart to zoom; double-click to see all.'));
+}
 
 /** Returns the choice of a link among the quantities that x may be. @param {string[]} axes */
 export function axisIn(parameters, axes) {

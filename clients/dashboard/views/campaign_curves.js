@@ -10,6 +10,7 @@ import { CampaignStage, Champions } from './champions.js';
 import { Comparison, DASHES, HUES } from './comparison.js';
 import { emptyText } from './jobs.js';
 import { SettingsDiff } from './settings_diff.js';
+import { TimeLapse } from './time_lapse.js';
 
 /**
  * What x may be. Rollouts are those computed for scores, without those cut short; time is wall time
@@ -71,17 +72,19 @@ export class CampaignCurves {
     this.group.check();
     this.stage = new CampaignStage(shared);
     this.champions = new Champions(shared, this.stage);
-    const { scores, diversity, operators, ...rest } = this.charts;
+    this.lapse = new TimeLapse(shared, this.stage);
+    const { race, learning, ...first } = this.charts;
     this.element = h('div.stack', {}, this.compared?.element,
       others.length ? new SettingsDiff(app, job(), others, get).element : null,
-      h('div.grid', {}, h('div.stack', {}, this.stage.element, this.champions.element),
-        h('div.stack', {}, axisRow(axes, this.axis, (axis) => {
+      h('div.grid', {}, h('div.stack', {}, this.stage.element, this.lapse.element,
+        this.champions.element),
+        h('div.stack.charts', {}, axisRow(axes, this.axis, (axis) => {
           this.axis = axis;
           app.keep({ x: axis === AXES[0] ? null : axis });
           this.group.zoomTo(null);
           this.#show();
-        }), scores.element, diversity.element, operators.element)),
-      h('div.grid', {}, Object.values(rest).map((chart) => chart.element)));
+        }), Object.values(first).map(({ element }) => element))),
+      h('div.grid', {}, [race, learning].map((chart) => chart?.element)));
     this.#show();
   }
 
@@ -100,7 +103,9 @@ export class CampaignCurves {
     const { measure, others } = this.shared;
     const campaign = this.shared.job();
     const { rows } = curves[0];
-    const time = timeUnit(Math.max(...curves.map((curve) => sums(curve.rows, secondsOf).at(-1) ?? 0)));
+    this.lapse.set(rows);
+    const time = timeUnit(Math.max(...curves.map((curve) =>
+      sums(curve.rows, secondsOf).at(-1) ?? 0)));
     Object.values(charts).forEach((chart) => Object.assign(chart.options, {
       xName: this.axis === 'time' ? time.name : this.axis,
       isWhole: this.axis === 'generation',

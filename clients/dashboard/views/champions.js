@@ -18,6 +18,8 @@ export class CampaignStage {
     this.job = job;
     this.signal = signal;
     this.player = new Player(app, { compact: true, height });
+    /** Called before other designs walk. */
+    this.taken = () => {};
     this.element = h('section.panel.flush', { 'aria-label': 'Stage' }, this.player.element);
   }
 
@@ -29,6 +31,7 @@ export class CampaignStage {
   async walk(designs) {
     const shown = designs.slice(0, WALKING_MAX);
     if (!shown.length) return;
+    this.taken();
     this.player.setNote('Walking…');
     try {
       this.player.setRobots(await rollOfCampaign(this.job(), shown, this.signal));

@@ -96,8 +96,8 @@ export class Comparison {
       return [
         ...(all.length > 1
           ? [{ name: `least to most of ${id}`, kind: /** @type {'band'} */ ('band'), silent: true,
-            of: `campaign ${id}`, x, y: x, color: HUES[i], opacity: 0.2, low: at((values) => Math.min(...values)),
-            high: at((values) => Math.max(...values)) }]
+            of: `campaign ${id}`, x, y: x, color: HUES[i], opacity: 0.2,
+            low: at((values) => Math.min(...values)), high: at((values) => Math.max(...values)) }]
           : []),
         { name: `campaign ${id}`, x, color: HUES[i], dash: DASHES[i],
           y: at((values) => values.reduce((sum, one) => sum + one, 0) / values.length) },

@@ -13,8 +13,8 @@ const POLL_MS = 2000;
 /**
  * What the tabs and the head of a run's page share.
  * @typedef {{app: import('../app.js').app, id: string, get: function(string): Promise<any>,
- *   others: string[], parameters: URLSearchParams, signal: AbortSignal, job: () => any, refreshJob: () => Promise<void>,
- *   [own: string]: any}} Shared
+ *   others: string[], parameters: URLSearchParams, signal: AbortSignal, job: () => any,
+ *   refreshJob: () => Promise<void>, [own: string]: any}} Shared
  */
 
 /**

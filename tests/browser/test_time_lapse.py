@@ -1,0 +1,165 @@
+"""The time-lapse of a campaign: the champion of each generation, as the service has it."""
+
+import pytest
+
+from conftest import CAMPAIGN, make_study
+from service import await_end, run, until
+
+LAPSE = "document.querySelector('[aria-label=Time-lapse]')"
+SAID = LAPSE + ".querySelector('p').innerText"
+WALKS = "document.querySelector('.stage').player.stage.robots.map((robot) => robot.label).join()"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def still(browser):
+    """Robots stand still until they are asked to walk."""
+    def prefer(value):
+        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {
+            "features": [{"name": "prefers-reduced-motion", "value": value}]})
+
+    prefer("reduce")
+    yield
+    prefer("")
+
+
+def shown(browser, id):
+    browser.open(f"campaigns/{id}")
+    browser.until(f"{LAPSE} && !{LAPSE}.hidden")
+
+
+def slide(browser, generation):
+    """Moves the slider, as a drag does."""
+    browser.run(f"""
+        const slider = {LAPSE}.querySelector('input');
+        slider.value = arguments[0];
+        slider.dispatchEvent(new Event('input'));""", generation)
+    browser.until(f"{SAID}.startsWith('Generation {generation}: ')")
+
+
+def champions(service, id):
+    """Returns the best design of each generation."""
+    path = f"/v1/campaigns/{id}"
+    n = service.get(path)["progress"]["generation"] + 1
+    return [service.get(f"{path}/population?generation={at}&limit=1")["items"][0]
+            for at in range(n)]
+
+
+def steps_of(best):
+    """Returns the champions without repetitions."""
+    numbers = [one["number"] for one in best]
+    return [number for at, number in enumerate(numbers) if at == 0 or number != numbers[at - 1]]
+
+
+def test_champions_are_those_of_the_service(service, browser):
+    id = run(service, "campaigns", CAMPAIGN | {"generations": 9, "label": "lapse"})["id"]
+    best = champions(service, id)
+    shown(browser, id)
+    for generation in (0, 9, 4):
+        slide(browser, generation)
+        design = best[generation]
+        assert f": #{design['number']} " in browser.run("return " + SAID)
+        assert browser.run("return " + SAID).endswith(f", score {design['score']:.4f}")
+        browser.until(f"{WALKS}.startsWith('#{design['number']} ')")
+    browser.run("""window.seen = [];
+        const { player } = document.querySelector('.stage');
+        const { setRobots } = player;
+        player.setRobots = function (robots) {
+          seen.push(Number(robots[0].label.slice(1).split(' ')[0]));
+          setRobots.call(this, robots);
+        };
+        window.started = performance.now();""")
+    browser.click("Play", "[aria-label=Time-lapse] button")
+    browser.until(f"{SAID}.includes('That was')")
+    expected = steps_of(best)
+    seen = browser.run("return seen")
+    assert seen[-1] == expected[-1]
+    # Without a GPU, some are skipped when a frame takes long.
+    rest = iter(expected)
+    assert all(number in rest for number in seen), (seen, expected)
+    assert 9.5 < browser.run("return (performance.now() - started) / 1000") < 60
+    assert f"That was {len(expected)} champion" in browser.run("return " + SAID)
+    assert browser.texts("[aria-label=Time-lapse] button")[0] == "Play"
+    assert browser.faults() == []
+
+
+def test_the_user_stops_it(service, browser):
+    shown(browser, service.campaign)
+    browser.until("document.querySelector('.pick')")
+    click = ("Play", "[aria-label=Time-lapse] button"), ("Stop", "[aria-label=Time-lapse] button")
+    for text, selector in click:
+        browser.click(text, selector)
+    browser.click("Play", "[aria-label=Time-lapse] button")
+    browser.run("document.querySelector('.pick .card').click()")  # another robot takes the stage
+    assert browser.texts("[aria-label=Time-lapse] button")[0] == "Play"
+    assert browser.run("return document.querySelector('.stage').player.speed") == 1
+
+
+def test_it_grows_while_the_campaign_runs(service, browser):
+    id = service.post("/v1/campaigns", CAMPAIGN | {"generations": 90000, "label": "grows"})["id"]
+    until(lambda: service.get(f"/v1/campaigns/{id}")["progress"]["generation"])
+    shown(browser, id)
+    last = f"Number({LAPSE}.querySelector('input').max)"
+    browser.run(f"window.before = {last}")
+    browser.until(f"{last} > before")
+    slide(browser, 1)
+    browser.run(f"window.before = {last}")
+    browser.until(f"{last} > before")
+    assert browser.run("return " + SAID).startswith("Generation 1: ")
+    service.act(id, "cancel")
+
+
+def test_one_generation(service, browser):
+    id = run(service, "campaigns", CAMPAIGN | {"generations": 0, "label": "single"})["id"]
+    shown(browser, id)
+    browser.click("Play", "[aria-label=Time-lapse] button")
+    browser.until(f"{SAID}.startsWith('Generation 0: ')")
+    browser.until(f"{SAID}.endsWith('That was 1 champion of 1 generation.')")
+
+
+def test_all_diverged(service, browser):
+    id = run(service, "campaigns", CAMPAIGN | {
+        "label": "gone", "generations": 1,
+        "physics": {"n_steps": 60, "dt_s": 0.02, "integrator": "paper"}})["id"]
+    rows = service.pages(f"/v1/campaigns/{id}/generations")
+    if any(row["score"]["mean"] is not None for row in rows):
+        pytest.skip("some robots did not diverge")
+    shown(browser, id)
+    browser.click("Play", "[aria-label=Time-lapse] button")
+    browser.until(f"{SAID} === 'Every robot diverged, so there is no champion.'")
+    slide(browser, 0)
+    assert "every robot diverged" in browser.run("return " + SAID)
+    assert browser.faults() == []
+
+
+def test_scores_that_change_and_units(service, browser):
+    """A campaign that learns, one that walks meters, and a study."""
+    walk = {"environments": [{"task": "walk"}], "generations": 2, "label": "walks"}
+    for id, words in ((run(service, "campaigns", CAMPAIGN | walk)["id"], " m"),
+                      (make_study(service), "")):
+        best = champions(service, id)
+        shown(browser, id)
+        slide(browser, 0)
+        said = browser.run("return " + SAID)
+        assert f": #{best[0]['number']} " in said and said.endswith(words), said
+    learning = {"mode": "few-shot", "name": "learner", "generations": 2, "population": 6,
+                "label": "learns", "learning": {"parent_steps": 1, "child_steps": 1, "batch": 2}}
+    id = service.post("/v1/campaigns", CAMPAIGN | learning)["id"]
+    await_end(service, f"/v1/campaigns/{id}")
+    best = champions(service, id)
+    shown(browser, id)
+    assert "newest controller" in browser.run("return " + SAID)
+    for generation in range(3):
+        slide(browser, generation)
+        assert f", score {best[generation]['score']:.4f}" in browser.run("return " + SAID)
+
+
+def test_a_film(service, browser):
+    shown(browser, service.campaign)
+    browser.run("window.saved = null; URL.createObjectURL = (blob) => { saved = blob;"
+                " return 'blob:'; }; HTMLAnchorElement.prototype.click = () => {};")
+    browser.run("document.querySelector('.stage canvas').style.cssText ="
+                " 'width: 64px; height: 48px; min-height: 0; flex: none'")  # drawn by the processor
+    browser.click("Film", "[aria-label=Time-lapse] button")
+    browser.until(f"{SAID} === 'The film is saved.'")
+    assert browser.run("return saved.type") == "video/webm"
+    assert browser.run("return saved.size") > 20000
