@@ -43,6 +43,11 @@ function placeOf() {
     other = `evaluations/${encodeURIComponent(parameters.get('evaluation'))}`;
   } else if (name === 'editor') {
     other = `lab${query ? `?${query}` : ''}`;
+  } else if (name === 'overview' && query) { // it had a list with filters
+    const label = parameters.get('label');
+    if (label) parameters.set('search', label);
+    parameters.delete('label');
+    other = `runs?${parameters}`;
   }
   if (!other) return { name, rest, parameters };
   history.replaceState(history.state, '', `#/${other}`);

@@ -204,9 +204,9 @@ def test_replicates_are_one_row(service, browser):
     browser.run("document.querySelector('[aria-label=\"Show the replicates of thrice\"]').click()")
     browser.until(f"{thrice}.length === 4")
     items = service.get(f"/v1/campaigns?group={first}")["items"]
-    go(browser, "overview?label=thrice")
-    browser.until("document.querySelectorAll('.jobs tbody tr .main .muted').length === 3")
-    assert [text.split(", ")[1] for text in browser.texts(".jobs tbody tr .main .muted")] == [
+    go(browser, "overview")
+    browser.until("document.querySelectorAll('.jobs tbody tr').length > 2")
+    assert [text.split(", ")[1] for text in browser.texts(".jobs tbody tr .main .muted")[:3]] == [
         f"replicate {n} of 3" for n in (3, 2, 1)]
     others = [row["id"] for row in items if row["id"] != first]
     go(browser, f"campaigns/{first}?compare={','.join(others)}")

@@ -10,7 +10,7 @@ import pytest
 
 from browser import Browser
 from contract import SOURCE
-from service import DESIGN, await_end, run
+from service import DESIGN, await_end, run, until
 from test_racing import CAMPAIGN as RACED
 from workers import Workers
 
@@ -650,22 +650,23 @@ def test_jobs_in_order(service, browser):
     what will be lost."""
     job = run(service, "evaluations", {"designs": [DESIGN], "physics": {"n_steps": 20},
                                        "label": "in order"})["id"]
-    rows = "document.querySelectorAll('table.jobs tbody tr').length"
-    browser.open("overview?label=in%20ord")
-    browser.until(f"{rows} === 1")
-    browser.click("Edit", "table.jobs button")
+    found = "document.querySelector('table.jobs td.main')?.innerText"
+    browser.open(f"evaluations/{job}")
+    browser.click("Edit")
     browser.run("document.querySelector('dialog textarea').value = '<b>falls</b> over'")
     browser.run("document.querySelector('dialog [type=checkbox]').click()")
     browser.click("Save")
-    browser.until(f"{rows} === 0")
-    assert service.get(f"/v1/jobs/{job}")["note"] == "<b>falls</b> over"
+    browser.until("document.querySelector('.remark').innerText.includes('<b>falls</b> over')")
+    browser.open("overview?label=in%20ord")  # as in links of earlier versions
+    browser.until("document.querySelector('main').innerText.includes('No jobs match.')")
     browser.open("overview?label=in%20ord&archived=true")
-    browser.until(f"{rows} === 1")
-    assert "<b>falls</b> over" in browser.texts("table.jobs td.main")[0]
-    browser.click("Edit", "table.jobs button")
+    browser.until(f"{found}?.includes('<b>falls</b> over')")
+    browser.open(f"evaluations/{job}")
+    browser.click("Edit")
     browser.click("Delete")
     assert f"Evaluation {job} and its results" in browser.texts("[role=alertdialog] p")[0]
     browser.click("Delete the job")
-    browser.until(f"{rows} === 0")
-    assert service.request("GET", f"/v1/jobs/{job}").status == 404
+    until(lambda: service.request("GET", f"/v1/jobs/{job}").status == 404)
+    browser.open("overview")
+    browser.until("document.querySelector('[aria-label=Usage] tbody td')")
     assert browser.texts("[aria-label=Usage] tbody td") != [] and browser.faults() == []

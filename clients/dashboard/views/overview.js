@@ -1,24 +1,23 @@
 /** The overview: the health of the service, its work, its progress, and recent events. */
 
-import { LinkError, getJson, shared, withQuery } from '../lib/api.js';
+import { getJson, shared, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
-import { button, fill, h, patch, patchRow, say, table as tableOf, tile } from '../lib/dom.js';
-import {
-  ago, bytes, count, countOf, duration, number, percent, score, shellWord,
-} from '../lib/format.js';
+import { h, patch, patchRow, say, table as tableOf, tile } from '../lib/dom.js';
+import { factsOf, knownFacts } from '../lib/facts.js';
+import { ago, bytes, count, duration, number, percent, score } from '../lib/format.js';
 import { linkOf, titleOf } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
 import { environmentsOfCampaign } from '../lib/rollouts.js';
 import { measureOf, meters, taskNameOf, worldsOfTraining } from '../lib/tasks.js';
 import { startButton } from './forms.js';
 import { copyButton } from './share.js';
-import { JobTable } from './job_table.js';
 import { JobParts } from './jobs.js';
+import { COLUMNS, cellsOf } from './run_rows.js';
 
 const REFRESH_MS = 2000;
 const LOAD_S = 3600;
-const STATES = ['', 'queued', 'running', 'paused', 'succeeded', 'failed', 'cancelled'];
-const ARCHIVES = [['', 'not archived'], ['true', 'archived'], ['all', 'including archived']];
+/** Rows of the table, and jobs whose titles events use. */
+const [NEWEST, TITLES] = [10, 100];
 
 export async function mount(main, path, parameters, app) {
   const stop = new AbortController();
@@ -31,36 +30,11 @@ export async function mount(main, path, parameters, app) {
     isWhole: false, xRange: [-LOAD_S / 60, 0], xText: (x) => number(-x), yText: percent,
     empty: 'The first samples come within seconds.',
   });
-  let state = choiceIn(parameters, 'state', STATES);
-  const table = new JobTable(() => refresh());
+  const jobRows = h('tbody');
   /** Returns a selection without a visible name. */
   const choice = (label, choices, value, chosen) =>
     h('select', { 'aria-label': label, onchange: (event) => chosen(event.target.value) },
       choices.map(([key, text]) => h('option', { value: key, selected: key === value }, text)));
-  const offered = STATES.map((name) => [name, name || 'all states']);
-  const filter = choice('State of the jobs', offered, state, (value) => {
-    state = value;
-    app.keep({ state });
-    refresh();
-  });
-  let search = parameters.get('label') ?? '';
-  let archived = choiceIn(parameters, 'archived', ARCHIVES.map(([key]) => key));
-  const searched = h('input', {
-    type: 'search', value: search, placeholder: 'label begins with',
-    'aria-label': 'Labels that begin with',
-    oninput: (event) => {
-      search = event.target.value;
-      app.keep({ label: search });
-      refresh();
-    } });
-  const archive = choice('Archived jobs', ARCHIVES, archived, (value) => {
-    archived = value;
-    app.keep({ archived });
-    refresh();
-  });
-  /** The filters of the list, with the names in the contract. */
-  const filters = () => ({ state, label: search && `${search}*`, archived });
-  const given = () => Object.entries(filters()).filter(([, value]) => value);
   const titles = new Map(); // of the listed jobs, by id
   let by = 'experiment';
   const usage = h('tbody');
@@ -71,32 +45,22 @@ export async function mount(main, path, parameters, app) {
     showUsage();
   });
   const none = h('p.empty');
-  const shown = h('span.muted');
-  const showMore = button('Show more', () => {
-    wanted += 1000;
-    refresh();
-  });
-  const more = h('div.row', {}, none, showMore, shown);
-  let wanted = 100;
 
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Service'), h('div.actions', {},
       ['evaluation', 'training', 'campaign'].map((kind) =>
         startButton(app, kind, kind === 'campaign' ? { class: 'primary' } : {})),
       copyButton(() => ({
-        path: withQuery('v1/jobs', filters()),
-        morphoctl: ['job list',
-          ...given().map(([name, value]) => `--${name} ${shellWord(value)}`)].join(' '),
-        python: `print(m.jobs(${
-          given().map(([name, value]) => `${name}=${JSON.stringify(value)}`).join(', ')}))`,
+        path: 'v1/jobs', morphoctl: 'job list', python: 'print(m.jobs())',
       })))),
     tiles, running,
     h('div.grid', {}, load.element,
       h('section.panel', { 'aria-label': 'Newest events' }, h('h2', {}, 'Newest events'),
         h('div.scroll', {}, h('table', {}, events)))),
     h('section.panel.stack', {},
-      h('div.title', {}, h('h2', {}, 'Jobs'), h('div.actions', {}, searched, filter, archive)),
-      table.element, more),
+      h('div.title', {}, h('h2', {}, 'Newest runs'), h('a', { href: '#/runs' }, 'all runs')),
+      h('div.scroll', {}, tableOf(Object.values(COLUMNS).map(({ name }) => name), jobRows,
+        (name, i) => Object.values(COLUMNS)[i].isRight, 'table.cards.jobs.runs')), none),
     h('section.panel.stack', { 'aria-label': 'Usage' },
       h('div.title', {}, h('h2', {}, 'Usage'), h('div.actions', {}, usageBy)),
       h('div.scroll', {}, tableOf(['Name', 'Jobs', 'Core time', 'Device time'], usage,
@@ -185,23 +149,16 @@ export async function mount(main, path, parameters, app) {
   }
 
   async function showJobs() {
-    const jobs = [];
-    let cursor;
-    do {
-      const limit = Math.min(1000, wanted - jobs.length);
-      const page = await get(withQuery('v1/jobs', { ...filters(), limit, cursor }));
-      jobs.push(...page.items);
-      cursor = page.next_cursor;
-    } while (cursor !== null && jobs.length < wanted);
-    table.set(jobs);
-    jobs.forEach((job) => titles.set(job.id, titleOf(job)));
-    none.hidden = jobs.length > 0;
-    shown.hidden = !none.hidden;
-    showMore.hidden = cursor === null;
-    const start = may('submit') ? ' Start one above, or with morphoctl.' : '';
-    say(none, search || archived ? 'No jobs match.' : state ? `No jobs are ${state}.`
-      : `No jobs yet.${start}`);
-    say(shown, `${countOf(jobs.length, 'job')} shown`);
+    const { items } = await get(`v1/jobs?limit=${TITLES}`);
+    items.forEach((job) => titles.set(job.id, titleOf(job)));
+    const newest = items.slice(0, NEWEST);
+    const draw = () => showRows(jobRows, newest.map((job) =>
+      ({ key: job.id, cells: cellsOf({ key: job.id, job }).slice(1) })));
+    draw();
+    Promise.all(newest.map((job) => knownFacts(job) || factsOf(job, stop.signal)))
+      .then(draw, () => {}); // the next refresh asks again
+    none.hidden = items.length > 0;
+    say(none, `No jobs yet.${may('submit') ? ' Start one above, or with morphoctl.' : ''}`);
   }
 
   const refresh = shared(() => Promise.all([
@@ -225,18 +182,9 @@ export async function mount(main, path, parameters, app) {
     unmount() {
       clearInterval(timer);
       stop.abort();
-      table.destroy();
       load.destroy();
     },
   };
-}
-
-/** A choice that the link contains. @param {string[]} choices */
-function choiceIn(parameters, name, choices) {
-  const value = parameters.get(name) ?? '';
-  if (choices.includes(value)) return value;
-  const names = choices.filter(Boolean).join(', ');
-  throw new LinkError(`${name}=${value}: one of ${names} is expected.`);
 }
 
 /** Shows rows by their keys; cells that differ are replaced. */

@@ -125,12 +125,13 @@ function bestCell(row) {
 }
 
 /**
- * Returns the cells of a row.
+ * Returns the cells of a row; the first has the box that selects it.
  * @param {Row} row
- * @param {{isOpen: boolean, toggle: function(): void, choose: function(boolean): void}} actions
+ * @param {{isOpen: boolean, toggle: function(): void, choose: function(boolean): void}} [actions]
  *   they may only use the key of the row
  */
-export function cellsOf(row, { isOpen: isShown, toggle, choose }) {
+export function cellsOf(row, actions) {
+  const { isOpen: isShown, toggle, choose } = actions ?? {};
   const { job, members, isMember } = row;
   const title = members ? `${titleOf(job)}, ${countOf(members.length, 'replicate')}`
     : `${titleOf(job)}${replicateOf(job)}`;
