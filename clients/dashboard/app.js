@@ -5,6 +5,7 @@ import {
 } from './lib/api.js';
 import { announce, button, fill, h, select, svg } from './lib/dom.js';
 import { Events, isNews } from './lib/events.js';
+import { followNotices } from './lib/notices.js';
 import { callerName, whoAmI, whyNot } from './lib/rights.js';
 import { TASKS } from './lib/tasks.js';
 import { tray } from './lib/tray.js';
@@ -116,7 +117,13 @@ export const app = {
   },
   /** Sets the title of the tab, which the history and bookmarks show. */
   setTitle(text) {
-    document.title = `${text} · morphod`;
+    this.title = text;
+    document.title = `${this.notice ?? ''}${text} · morphod`;
+  },
+  /** Puts news before the title; '': takes them away. */
+  setNotice(text) {
+    this.notice = text && `${text} – `;
+    this.setTitle(this.title);
   },
 };
 
@@ -322,7 +329,7 @@ class Frame {
         return;
       }
       this.view = view ?? {};
-      if (!entry.title && document.title === `${entry.name} · morphod`) {
+      if (!entry.title && app.title === entry.name) {
         app.setTitle(this.main.querySelector('h1')?.textContent ?? entry.name);
       }
       scrollTo(0, place);
@@ -385,6 +392,7 @@ class Frame {
   /** Starts to follow events, once. Views load after that, so that they miss no change. */
   #followEvents() {
     this.following ??= app.events.start().then((last) => {
+      followNotices(app);
       app.events.upTo(last).then((events) => {
         app.recent.unshift(...events);
         this.view?.update?.({ type: 'recent' });

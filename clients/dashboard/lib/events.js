@@ -1,7 +1,7 @@
 /**
  * The daemon's events. One stream serves all pages of a browser: a lock selects the page that keeps
- * the stream, and that page passes the events on. Hidden pages do not stream; later they continue
- * after the last event they saw, so none is lost.
+ * the stream, and that page passes the events on. Hidden pages do not stream, unless the user waits
+ * for an event; later they continue after the last event they saw, so none is lost.
  */
 
 import { ApiError, getJson, request, withQuery } from './api.js';
@@ -38,6 +38,8 @@ export class Events {
     /** Number of the newest event seen. */
     this.last = null;
     this.listeners = new Set();
+    /** Whether a hidden page streams, too. */
+    this.isKept = () => false;
     this.stopper = null;
     this.channel = 'BroadcastChannel' in window ? new BroadcastChannel(CHANNEL + location.pathname)
       : null;
@@ -66,7 +68,7 @@ export class Events {
   }
 
   #change() {
-    if (document.hidden) {
+    if (document.hidden && !this.isKept()) {
       this.stopper?.abort();
       this.stopper = null;
     } else if (!this.stopper && this.last !== null) {

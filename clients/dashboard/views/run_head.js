@@ -1,7 +1,8 @@
 /** The head of a run's page: its title, its state, its actions, and its tabs. */
 
 import { button, fill, h, say } from '../lib/dom.js';
-import { kindOf, linkOf, shortProgress, titleOf } from '../lib/kinds.js';
+import { isOver, kindOf, linkOf, shortProgress, titleOf } from '../lib/kinds.js';
+import { noticeButton } from '../lib/notices.js';
 import { may } from '../lib/rights.js';
 import { JobParts } from './jobs.js';
 import { announced } from './share.js';
@@ -38,10 +39,11 @@ export class RunHead {
     const again = may('submit') && kindOf(job).starts
       ? button('Start again with…', () => announced(async () =>
         (await import('./again.js')).startAgain(app, this.job))) : null;
+    this.notice = noticeButton(job.id);
     const { chip, bar, trouble, remark, row } = this.parts;
     this.element = h('div.title', {}, this.title, this.about, chip, aside,
       others.map((other, i) => comparedChip(job, others, other, i, isDashed)),
-      h('div.actions', {}, again, actions));
+      h('div.actions', {}, this.notice, again, actions));
     this.status = h('section.panel.stack', { 'aria-label': 'State' }, bar, trouble, lines, remark,
       row);
   }
@@ -56,6 +58,7 @@ export class RunHead {
   update(job, about = '') {
     this.job = job;
     this.parts.update(job);
+    this.notice.hidden = isOver(job);
     say(this.title, titleOf(job));
     say(this.about, about);
     this.app.setTitle(`${titleOf(job)}, ${shortProgress(job)}`);

@@ -1,0 +1,83 @@
+/** Notices at the end of runs for which the user wants one, also while the tab is hidden. */
+
+import { getJson, storing } from './api.js';
+import { announce, toggle } from './dom.js';
+
+const KEY = `morphod-notices ${location.pathname}`;
+let kept = [];
+
+/** The ids of the runs. @returns {string[]} */
+const wanted = () => storing(() => JSON.parse(localStorage.getItem(KEY))) ?? kept;
+
+/** Adds or removes a run; returns whether it was there. */
+function want(id, on) {
+  const before = wanted();
+  kept = before.filter((one) => one !== id).concat(on ? id : []);
+  storing(() => localStorage.setItem(KEY, JSON.stringify(kept)));
+  return before.includes(id);
+}
+
+/** Shows a notification of the system, if the user has allowed it. */
+function notify(text, { id }, link) {
+  try {
+    if (Notification.permission !== 'granted') return false;
+    const shown = new Notification(text, { tag: `${KEY} ${id}` });
+    shown.onclick = () => {
+      focus();
+      location.hash = link;
+      shown.close();
+    };
+    return true;
+  } catch { // there are none here: phones, pages without TLS
+    return false;
+  }
+}
+
+/** Follows the events of all pages. @param {import('../app.js').app} app */
+export function followNotices(app) {
+  app.events.isKept = () => wanted().length > 0;
+  app.events.listen(({ type, job }) => {
+    if (type === 'reset' || (type === 'job.finished' && wanted().includes(job))) check();
+  });
+
+  /** Reports the runs that have ended. */
+  function check() {
+    return Promise.all(wanted().map(async (id) => {
+      const job = await getJson(`v1/jobs/${id}`).catch(({ status }) =>
+        ({ state: status === 404 ? 'deleted' : 'unknown' }));
+      const { isOver, linkOf, stateOf, titleOf } = await import('./kinds.js');
+      if (job.state === 'deleted') want(id, false);
+      if (!isOver(job) || !want(id, false)) return;
+      const text = `${titleOf(job)}: ${stateOf(job)}`;
+      if (notify(text, job, linkOf(job))) return;
+      // The title stays until the user is back, and so the line that vanishes is seen.
+      const isHidden = document.hidden;
+      if (!isHidden) announce(text);
+      app.setNotice(text);
+      const back = new AbortController();
+      const seen = () => {
+        if (document.hidden) return;
+        back.abort();
+        app.setNotice('');
+        if (isHidden) announce(text);
+      };
+      for (const sign of ['visibilitychange', 'pointermove', 'keydown']) {
+        document.addEventListener(sign, seen, { signal: back.signal });
+      }
+    }));
+  }
+  return check();
+}
+
+/** Returns a button that asks for a notice at the end of a run. */
+export function noticeButton(id) {
+  return toggle('Notify me', wanted().includes(id), async (on) => {
+    want(id, on);
+    if (!on) return;
+    const answer = await storing(() => (Notification.permission === 'default'
+      ? Notification.requestPermission() : Notification.permission));
+    announce(answer === 'granted' ? 'You will get a notification when it ends, while a tab is open.'
+      : 'This browser does not allow notifications here. When it ends, the title of the tab and a ' +
+        'line like this will say so.');
+  }, { title: 'When this run ends, while a tab with this page is open' });
+}
