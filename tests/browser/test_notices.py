@@ -18,7 +18,7 @@ class Notification {
     return Notification.permission = sessionStorage.answer = '%s';
   }
   constructor(text, { tag }) { shown.push(text); this.tag = tag; window.newest = this; }
-  close() { window.closed = true; }
+  close() { window.wasClosed = true; }
 }
 window.Notification = Notification;
 """
@@ -65,7 +65,7 @@ def test_a_notification_at_the_end(service, browser, endless, faked):
     assert browser.run("return shown") == ["long: cancelled"]
     browser.run("newest.onclick()")
     browser.until("document.querySelector('h1')?.innerText === 'long'")
-    assert browser.run(f"return closed && {BUTTON}.checkVisibility()") is False
+    assert browser.run(f"return wasClosed && {BUTTON}.checkVisibility()") is False
     assert browser.faults() == []
 
 

@@ -2,6 +2,7 @@
 
 import { LinkError } from './api.js';
 import { h, select } from './dom.js';
+import { number } from './format.js';
 
 const listIn = (parameters, name, mark) => (parameters.get(name) ?? '').split(mark).filter(Boolean);
 
@@ -82,6 +83,12 @@ export function sums(rows, take) {
   let sum = 0;
   return Float64Array.from(rows, (row) => { sum += take(row) ?? 0; return sum; });
 }
+
+/** Returns how charts show an axis. whole: the axis that has no values between whole numbers. */
+export const axisOptions = (axis, whole, time) => ({
+  xName: axis === 'time' ? time.name : axis, isWhole: axis === whole,
+  xText: (x) => number(x, axis === 'time' ? 4 : 6),
+});
 
 /** Returns the unit of an axis that ends after some seconds: its name, and its seconds. */
 export function timeUnit(seconds) {

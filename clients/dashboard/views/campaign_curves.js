@@ -2,7 +2,9 @@
 
 import { Curve } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
-import { ChartGroup, axisIn, axisRow, sums, timeUnit } from '../lib/chart_group.js';
+import {
+  ChartGroup, axisIn, axisOptions, axisRow, sums, timeUnit,
+} from '../lib/chart_group.js';
 import { h } from '../lib/dom.js';
 import { percent } from '../lib/format.js';
 import { meters } from '../lib/tasks.js';
@@ -106,10 +108,8 @@ export class CampaignCurves {
     this.lapse.set(rows);
     const time = timeUnit(Math.max(...curves.map((curve) =>
       sums(curve.rows, secondsOf).at(-1) ?? 0)));
-    Object.values(charts).forEach((chart) => Object.assign(chart.options, {
-      xName: this.axis === 'time' ? time.name : this.axis,
-      isWhole: this.axis === 'generation',
-    }));
+    const options = axisOptions(this.axis, AXES[0], time);
+    Object.values(charts).forEach((chart) => Object.assign(chart.options, options));
     /** @type {(rows: any[]) => Float64Array} */
     const along = {
       generation: (list) => column(list, (row) => row.generation),

@@ -15,6 +15,7 @@ const SHOWN = 12;
 /** @type {[string, [string, string][]][]} */
 const KEYS = [
   ['Everywhere', [['Ctrl K or ⌘ K', 'jump to a page, run or robot'], ['?', 'show this list']]],
+  ['Charts', [['← →', 'move the cursor'], ['+ −', 'zoom'], ['0', 'show all']]],
   ['Stage, when it has the focus', [['space', 'play or pause'],
     [', .', 'one frame back or forward'], ['← → ↑ ↓', 'turn the view'], ['+ −', 'zoom'],
     ['f', 'follow a robot'], ['s', 'show springs']]],

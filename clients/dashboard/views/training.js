@@ -2,7 +2,9 @@
 
 import { Curve } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
-import { ChartGroup, axisIn, axisRow, sums, timeUnit } from '../lib/chart_group.js';
+import {
+  ChartGroup, axisIn, axisOptions, axisRow, sums, timeUnit,
+} from '../lib/chart_group.js';
 import { h } from '../lib/dom.js';
 import { percent } from '../lib/format.js';
 import { taskWords, worldsOfTraining } from '../lib/tasks.js';
@@ -127,8 +129,8 @@ class TrainingCurves {
     const { batch } = this.shared.job().settings;
     const times = steps.map(({ rows }) => sums(rows, (row) => row.seconds));
     const time = timeUnit(Math.max(...times.map((list) => list.at(-1) ?? 0)));
-    this.charts.forEach((chart) => Object.assign(chart.options, {
-      xName: this.axis === 'time' ? time.name : this.axis, isWhole: this.axis === 'step' }));
+    const options = axisOptions(this.axis, AXES[0], time);
+    this.charts.forEach((chart) => Object.assign(chart.options, options));
     /** @type {(i: number, step: number) => number} */
     const along = {
       step: (i, step) => step,
