@@ -515,7 +515,7 @@ export class Chart {
     event.preventDefault();
   }
 
-  /** Shows the values at the cursor of the group. isOwn: this chart has the pointer or the focus. */
+  /** Shows the values at the cursor of the group. isOwn: this chart has the pointer or focus. */
   showCursor(isOwn) {
     const { xName, xText, yText } = this.options;
     const { cursor } = this.group;

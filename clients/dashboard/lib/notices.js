@@ -77,7 +77,7 @@ export function noticeButton(id) {
     const answer = await storing(() => (Notification.permission === 'default'
       ? Notification.requestPermission() : Notification.permission));
     announce(answer === 'granted' ? 'You will get a notification when it ends, while a tab is open.'
-      : 'This browser does not allow notifications here. When it ends, the title of the tab and a ' +
-        'line like this will say so.');
+      : 'This browser does not allow notifications here. When it ends, the title of the tab and ' +
+        'a line like this will say so.');
   }, { title: 'When this run ends, while a tab with this page is open' });
 }

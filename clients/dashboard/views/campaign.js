@@ -22,7 +22,9 @@ export async function mount(main, path, parameters, app) {
   if (part === 'phylogeny') {
     return (await import('./phylogeny.js')).mount(main, id, parameters, app);
   }
-  if (part === 'replicates') return (await import('./replicates.js')).mount(main, id, parameters, app);
+  if (part === 'replicates') {
+    return (await import('./replicates.js')).mount(main, id, parameters, app);
+  }
   return mountRun(main, path, parameters, app, { kind: 'campaign', tabs, prepare });
 }
 

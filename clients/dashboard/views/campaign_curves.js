@@ -67,11 +67,10 @@ export class CampaignCurves {
     this.curves = ids.map((one) => new Curve(`v1/campaigns/${one}/generations`));
     this.replicates = group.replicates > 1
       ? new Curve(`v1/campaigns/${group.id}/replicates`) : null;
-    this.compared = others.length ? new Comparison(ids, get,
-      // It is over replicates, of which only the generations are comparable.
-      this.axis === 'generation' ? this.group : new ChartGroup()) : null;
+    this.compared = others.length ? new Comparison(ids, get, this.group) : null;
     this.charts = chartsOf(shared, this.group);
     this.group.check();
+    this.#placeCompared();
     this.stage = new CampaignStage(shared);
     this.champions = new Champions(shared, this.stage);
     this.lapse = new TimeLapse(shared, this.stage);
@@ -84,10 +83,17 @@ export class CampaignCurves {
           this.axis = axis;
           app.keep({ x: axis === AXES[0] ? null : axis });
           this.group.zoomTo(null);
+          this.#placeCompared();
           this.#show();
         }), Object.values(first).map(({ element }) => element))),
       h('div.grid', {}, [race, learning].map((chart) => chart?.element)));
     this.#show();
+  }
+
+  /** The comparison is over replicates, which have only generations in common. */
+  #placeCompared() {
+    const group = this.axis === AXES[0] ? this.group : new ChartGroup();
+    this.compared?.chart.join(group, 'compared').update();
   }
 
   async refresh() {

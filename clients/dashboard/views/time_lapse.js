@@ -176,7 +176,8 @@ export class TimeLapse {
     await this.#roll(steps.map(({ design }) => design));
     if (turn !== this.turn) return null;
     const eachS = LAPSE_S / steps.length;
-    const walkS = Math.max(...[...this.robots.values()].map((one) => (one.frames - 1) * one.frameS));
+    const [{ frames, frameS }] = this.robots.values(); // all walk equally long
+    const walkS = (frames - 1) * frameS;
     const place = (i) => player.setRobots([this.robots.get(steps[i].design.number)]);
     return { turn, n, steps, eachS, place,
       speed: Math.min(SPEED_MAX, Math.max(speed, walkS / eachS)) };
