@@ -226,7 +226,7 @@ def chart(_, page):
 
 SCROLL = """
 const seen = { frames: 0, blank: 0, rows: 0 };
-const rows = [...document.querySelectorAll('tbody tr')].filter((row) => row.jobId);
+const rows = [...document.querySelectorAll('tbody tr')].filter((row) => row.rowKey);
 seen.rows = rows.length;
 const end = document.documentElement.scrollHeight - innerHeight;
 const frame = () => new Promise((resolve) => requestAnimationFrame(resolve));
@@ -248,8 +248,7 @@ return seen;
 def jobs(data, page):
     """No script runs between the check of the rows and the painting of the frame."""
     data.with_jobs()
-    page.load("overview", "firstTiles")
-    page.until("document.querySelectorAll('tbody tr').length > 100")
+    page.load("runs", "document.querySelector('.runs tbody tr') ?? undefined")
     page.click("Show more")
     page.until(f"document.querySelectorAll('tbody tr').length >= {N_JOBS}")
     seen = page.script(SCROLL)
