@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """Embeds the dashboard's files in a C source, both unchanged and compressed.
 
-usage: embed.py OUTPUT FOLDER FILE...
+usage: embed.py OUTPUT ESBUILD FOLDER FILE...
 
-FILE is relative to FOLDER. They are served from assets/HASH/…, with one hash over all files.
+ESBUILD minifies scripts and styles; '' leaves them as they are, except for comments and
+indentation. FILE is relative to FOLDER. They are served from assets/HASH/…, with one hash over all files.
 Modules can therefore import each other by relative names, and clients may cache them. index.html is
 the page itself; @assets@ in it becomes that folder. @preload@ becomes the list of modules that
 app.js imports, and for each view the additional modules that it imports. The browser then loads all
@@ -14,7 +15,9 @@ import hashlib
 import pathlib
 import posixpath
 import re
+import subprocess
 import sys
+import tempfile
 
 TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -29,54 +32,36 @@ def array(name: str, data: bytes) -> list[str]:
     return [f"static const unsigned char {name}[] = {{", *(row + "," for row in rows), "};"]
 
 
-STRING = r"""'(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*\""""
-# Code without an open string, and the comment after it.
-TRAILING = re.compile(rf"""((?:[^'"]|{STRING})*?\S) +// .*""")
-SIGN = re.compile(r" ?(=>|[=!]==|\?\?=?|\|\||&&|[={},?:()\[\];]) ?")
-
-
-def shortened(line: str) -> str:
-    """Removes the comment at the end of a line of JavaScript, and the spaces around signs unless a
-    slash, which may begin a regular expression, is among them."""
-    found = TRAILING.fullmatch(line)
-    parts = re.split(f"({STRING})", found[1] if found else line)
-    if not any("/" in code for code in parts[::2]):
-        parts[::2] = [SIGN.sub(r"\1", code) for code in parts[::2]]
-    return "".join(parts)
-
-
 def without_comments(name: str, text: str) -> str:
-    """Removes comments and spaces that mean nothing, if that is easy to see: outside of template
-    literals. Indentation must mean nothing there, either. Lines keep their numbers."""
-    lines, inside, template = [], False, False
+    """Empties the lines that have nothing but a comment, and removes indentation. The latter must
+    mean nothing in a template literal, either; lines keep their numbers."""
+    lines, inside = [], False
     for number, line in enumerate(text.split("\n"), 1):
         bare = line.strip()
         begins = not inside and bare.startswith("/*") and not re.search(r"\*/.", bare)
         if (inside or begins) and re.search(r"\*/.", bare):
             raise SystemExit(f"{name}:{number}: code follows a comment that has lines of its own")
-        script = name.endswith(".js")
-        empty = inside or begins or (script and bare.startswith("//"))
-        inside = (inside or begins) and not bare.endswith("*/")
-        if script and not empty and not template and "`" not in bare:
-            bare = shortened(bare)
-        template ^= not empty and bare.count("`") % 2 == 1
+        empty = inside or begins or (name.endswith(".js") and bare.startswith("//"))
         lines.append("" if empty else bare)
+        inside = (inside or begins) and not bare.endswith("*/")
     return "\n".join(lines)
 
 
-def without_spaces(styles: str) -> str:
-    """Removes spaces that mean nothing in a style sheet whose strings have none of these signs."""
-    return re.sub(r"\s*([{};,])\s*|(?<=:) ", r"\1", styles)
+def inlined(page: str) -> set[str]:
+    """Returns the files whose lines saved pages and other clients read."""
+    modules = re.search(r"const MODULES = \[(.*?)\]", page, re.DOTALL)
+    assert modules
+    return {"export/page.js", *re.findall(r"'([^']+)'", modules[1])}
 
 
-def content(path: pathlib.Path) -> bytes:
-    if path.suffix in (".js", ".css"):
-        text = without_comments(path.name, path.read_text(encoding="utf-8"))
-        return (without_spaces(text) if path.suffix == ".css" else text).encode()
-    return path.read_bytes()
+def minify(esbuild: str, folder: pathlib.Path, names: list[str]) -> dict[str, bytes]:
+    with tempfile.TemporaryDirectory() as output:
+        subprocess.run([esbuild, "--minify", "--charset=utf8", "--log-level=warning",
+                        f"--outdir={output}", "--outbase=.", *names], cwd=folder, check=True)
+        return {name: (pathlib.Path(output) / name).read_bytes() for name in names}
 
 
-def modules_of(files: dict[str, bytes], name: str) -> set[str]:
+def modules_of(sources: dict[str, str], name: str) -> set[str]:
     """Returns a module and everything that it imports."""
     found, new = set(), [name]
     while new:
@@ -85,24 +70,32 @@ def modules_of(files: dict[str, bytes], name: str) -> set[str]:
             found.add(module)
             folder = posixpath.dirname(module)
             new += [posixpath.normpath(posixpath.join(folder, path)) for path in
-                    re.findall(r"^(?:import.*|} ?)from '(\..*)';$", files[module].decode(),
+                    re.findall(r"^(?:import .*|} )from '(\..*)';$", sources[module],
                                re.MULTILINE)]
     return found
 
 
-def preload(files: dict[str, bytes]) -> str:
-    core = modules_of(files, "app.js")
+def preload(sources: dict[str, str]) -> str:
+    core = modules_of(sources, "app.js")
     lines = [f'<link rel="modulepreload" href="@assets@/{name}">' for name in sorted(core)]
-    for view in re.findall(r"module: ?'\./(.*?)'", files["app.js"].decode()):
-        names = " ".join(sorted(modules_of(files, view) - core))
+    for view in re.findall(r"module: '\./(.*?)'", sources["app.js"]):
+        names = " ".join(sorted(modules_of(sources, view) - core))
         lines.append(f'<meta name="./{view}" content="{names}">')
     return "\n".join(lines)
 
 
 def main() -> None:
-    output, folder, *names = sys.argv[1:]
-    files = {name: content(pathlib.Path(folder) / name) for name in sorted(names)}
-    page = files["index.html"].replace(b"@preload@", preload(files).encode())
+    output, esbuild, folder, *names = sys.argv[1:]
+    sources = {name: (pathlib.Path(folder) / name).read_text(encoding="utf-8")
+               for name in sorted(names)}
+    files = {name: without_comments(name, text).encode() if name.endswith((".js", ".css"))
+             else text.encode() for name, text in sources.items()}
+    if esbuild:
+        kept = inlined(sources["export/page.js"])
+        files |= minify(esbuild, pathlib.Path(folder),
+                        [name for name in files if name.endswith((".js", ".css")) and
+                         name not in kept])
+    page = files["index.html"].replace(b"@preload@", preload(sources).encode())
     digest = hashlib.sha256()
     for name, data in files.items():
         digest.update(f"{name} {len(data)}\n".encode() + data)
