@@ -4,7 +4,9 @@
 usage: embed.py OUTPUT ESBUILD FOLDER FILE...
 
 ESBUILD minifies scripts and styles; '' leaves them as they are, except for comments and
-indentation. FILE is relative to FOLDER. They are served from assets/HASH/…, with one hash over all files.
+indentation. FILE is relative to FOLDER.
+
+They are served from assets/HASH/…, with one hash over all files.
 Modules can therefore import each other by relative names, and clients may cache them. index.html is
 the page itself; @assets@ in it becomes that folder. @preload@ becomes the list of modules that
 app.js imports, and for each view the additional modules that it imports. The browser then loads all

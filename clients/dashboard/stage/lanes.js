@@ -109,22 +109,22 @@ export function lanesOf(all, max) {
 const HALF_M = Math.tan((19 * Math.PI) / 180);
 /** With little perspective, robots in far lanes are as large as others. */
 export const LENS = 3;
-/** Views of a race: whether the robots walk to the right, or away, and how steep the view is. */
-const VIEWS = [[false, 1.15], [false, 0.9], [false, 0.6], [true, 0.75], [true, 0.5]];
+/** How steep the view of a race may be: as the ground is largest. */
+const PITCHES = [1.15, 0.9, 0.6];
 /** How large the ground of the lanes is in a picture. */
 const sizeIn = ({ pitch, distanceM }) => Math.sin(pitch) / distanceM ** 2;
 
 /**
  * Points a camera so that all lanes fit in a view of this size in pixels. The robots walk away from
- * it or, if that shows them larger, to the right.
+ * it.
  * @param {ReturnType<typeof lanesOf>} lanes
  * @param {import('./camera.js').Camera} camera
  * @param {number} covered share of the width, at the right, that the list of robots covers
  */
 export function frameLanes({ corners, along: [ax, ay] }, camera, width, height, covered) {
-  const views = VIEWS.map(([isRightward, pitch]) => {
+  const views = PITCHES.map((pitch) => {
     const view = Object.assign(Object.create(Object.getPrototypeOf(camera)), camera, {
-      yaw: isRightward ? Math.atan2(-ay, ax) : Math.atan2(ax, ay), pitch, lens: LENS, distanceM: 6,
+      yaw: Math.atan2(ax, ay), pitch, lens: LENS, distanceM: 6,
     });
     view.target = [0, 1, 2].map((axis) => corners.reduce((sum, at) => sum + at[axis], 0) / 8);
     for (let i = 0; i < 8; i++) {

@@ -9,7 +9,6 @@ import { project } from './math.js';
 
 /** More names than these would hide the robots. */
 const TAGS_MAX = 16;
-const BEHIND_M = 0.42;
 const [HEIGHT_PX, WIDTH_PX, CROWDED_PX] = [22, 90, 24];
 
 export class Tags {
@@ -30,8 +29,7 @@ export class Tags {
     const placed = [];
     const lanes = stage.lanes();
     const places = new Map(order.map(({ robot }, i) => [robot, i + 1]));
-    const { isCrowded, isRightward } = lanes ? roomIn(stage, lanes)
-      : { isCrowded: false, isRightward: false };
+    const isCrowded = Boolean(lanes) && isNarrow(stage, lanes);
     [...this.element.children].forEach((tag, i) => {
       let [x, y] = [0, 0];
       const isApart = stage.sideBySide && stage.robots.length > 1;
@@ -51,13 +49,9 @@ export class Tags {
         if (!place) return;
         const [mx, my, mz] = place;
         const matrix = stage.camera.matrix(views[0].width, views[0].height);
-        // Behind robots that walk to the right, so that it does not cover the next lane.
-        const [ax, ay] = isRightward ? lanes.along : [0, 0];
-        const [px, py, depth] = project(matrix,
-          [mx - BEHIND_M * ax, my - BEHIND_M * ay, mz + (isRightward ? 0 : 0.28)]);
-        x = ((px + 1) / 2) * clientWidth -
-          (isRightward ? 0 : isCrowded ? CROWDED_PX / 2 : WIDTH_PX / 2);
-        y = ((1 - py) / 2) * clientHeight - (isRightward ? HEIGHT_PX / 2 : HEIGHT_PX);
+        const [px, py, depth] = project(matrix, [mx, my, mz + 0.28]);
+        x = ((px + 1) / 2) * clientWidth - (isCrowded ? CROWDED_PX : WIDTH_PX) / 2;
+        y = ((1 - py) / 2) * clientHeight - HEIGHT_PX;
         tag.hidden = depth > 1 || Math.abs(px) > 1 || Math.abs(py) > 1;
         // All start at the same position: names that would cover each other are stacked.
         const overlaps = (at) =>
@@ -65,8 +59,7 @@ export class Tags {
         while (!lanes && placed.some(overlaps)) y -= HEIGHT_PX;
         placed.push([x, y]);
       }
-      tag.style.transform = `translate(${x.toFixed(1)}px, ${(y + offsetTop).toFixed(1)}px)` +
-        (isRightward ? ' translateX(-100%)' : '');
+      tag.style.transform = `translate(${x.toFixed(1)}px, ${(y + offsetTop).toFixed(1)}px)`;
     });
   }
 
@@ -83,12 +76,10 @@ export class Tags {
   }
 }
 
-/** Returns whether robots walk to the right, and whether names would cover other lanes. */
-function roomIn({ canvas, camera }, { shifts }) {
-  const { clientWidth: width, clientHeight: height } = canvas;
+/** Whether names would cover other lanes. */
+function isNarrow({ canvas: { clientWidth: width, clientHeight: height }, camera }, { shifts }) {
   const matrix = camera.matrix(width, height);
   const [from, to] = [...shifts.values()].map((shift) =>
     project(matrix, camera.target.map((value, axis) => value + shift[axis])));
-  const [dx, dy] = [Math.abs(from[0] - to[0]) * width, Math.abs(from[1] - to[1]) * height];
-  return { isRightward: dy > dx, isCrowded: dx < 2 * (WIDTH_PX + 30) && dy < 2.2 * HEIGHT_PX };
+  return Math.abs(from[0] - to[0]) * width < 2 * (WIDTH_PX + 30);
 }
