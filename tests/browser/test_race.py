@@ -73,7 +73,8 @@ def test_each_robot_has_a_lane(service, browser):
         pictures = [browser.pixels(".stage canvas")]
         browser.run(PLAYER + "stage.show.skin = false; stage.draw(); stage.show.skin = true;")
         pictures.append(browser.pixels(".stage canvas"))
-        row, column = round(place["y"]), round(place["x"])
+        scale = pictures[0].shape[1] / browser.run(PLAYER + "return stage.canvas.clientWidth")
+        row, column = round(place["y"] * scale), round(place["x"] * scale)
         near = [picture[row - 8:row + 8, column - 8:column + 8, :3].astype(int)
                 for picture in pictures]
         assert abs(near[0] - near[1]).max() > 30, f"robot {i} is not in its lane"
