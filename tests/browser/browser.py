@@ -24,7 +24,8 @@ addEventListener('unhandledrejection', (event) => faults.push('rejection: ' + ev
 """
 
 # Once the page shows the expected content: the longest chain of requests, starting with the page's,
-# in which each began after the previous one had ended.
+# in which each began after the previous one had ended; for a page with robots, the longest that
+# ends with the first rollouts, because others may be sent while the first picture is drawn.
 CHAIN = """
 if (!(%s)) return null;
 const ends = [];
@@ -34,7 +35,8 @@ const depths = [];
 ends.forEach((one, i) => {
   depths.push(1 + Math.max(0, ...depths.filter((_, j) => ends[j].responseEnd <= one.startTime)));
 });
-return Math.max(...depths);
+const rollouts = ends.findIndex(({ name }) => name.endsWith('v1/rollouts'));
+return rollouts < 0 ? Math.max(...depths) : depths[rollouts];
 """
 
 PIXELS = """
