@@ -29,8 +29,8 @@ struct axis {
 static struct axis make_axis(const struct mo_terrain_axis *of, double position_m,
                              double velocity_m_per_s)
 {
-  struct axis axis = {position_m * of->cells_per_m, velocity_m_per_s * of->cells_per_m, 0,
-                      of->cells};
+  struct axis axis = {(position_m - of->from_m) * of->cells_per_m,
+                      velocity_m_per_s * of->cells_per_m, 0, of->cells};
   if (axis.start < 0)
     axis.cell = -1;
   else if (axis.start > axis.cells)
@@ -92,7 +92,7 @@ double mo_impact_exact(const struct mo_environment *environment, const double po
     if (to > from) {
       double u, w, du, dw;
       const int i = place(&x, from, &u, &du), j = place(&y, from, &w, &dw);
-      const double *h = environment->terrain_heights_m + j * map.row + i;
+      const double *h = map.heights_m + j * map.row + i;
       const double a = h[1] - h[0], b = h[map.row] - h[0];
       const double c = h[map.row + 1] - h[1] - h[map.row] + h[0];
       const double gap =
@@ -302,11 +302,13 @@ static double twist(const struct mo_environment *environment, double x_m, double
 {
   const struct mo_terrain_map map = mo_terrain_map_of(environment);
   const struct mo_terrain_axis *x = &map.axis[0], *y = &map.axis[1];
+  x_m -= x->from_m;
+  y_m -= y->from_m;
   if (!(x_m >= 0 && x_m <= x->size_m && y_m >= 0 && y_m <= y->size_m))
     return 0;
   const double u = x_m * x->cells_per_m, w = y_m * y->cells_per_m;
   const int i = u < x->cells ? (int)u : x->cells - 1, j = w < y->cells ? (int)w : y->cells - 1;
-  const double *h = environment->terrain_heights_m + j * map.row + i;
+  const double *h = map.heights_m + j * map.row + i;
   return (h[map.row + 1] - h[map.row] - (h[1] - h[0])) * x->cells_per_m * y->cells_per_m;
 }
 

@@ -18,7 +18,7 @@ const struct mo_fields mo_place_fields = MO_FIELDS(place_rows);
 bool mo_place_has(const struct mo_environment *environment, size_t row)
 {
   return row == MO_PLACE_LIGHT     ? environment->task.guide.kind == MO_GUIDE_FIXED
-         : row == MO_PLACE_HEIGHTS ? environment->n_profile == 0
+         : row == MO_PLACE_HEIGHTS ? environment->n_profile == 0 && environment->grid == NULL
                                    : true;
 }
 
@@ -92,6 +92,17 @@ unsigned mo_environment_version(const struct mo_environment *environment)
   return version > least ? version : least;
 }
 
+/* The heights that another terrain than the grid of 8 × 8 does not have: those from n on. */
+static int check_zeros(const struct mo_environment *environment, uint32_t n, uint32_t *where)
+{
+  for (uint32_t k = n; k < MO_TERRAIN_HEIGHTS; k++)
+    if (environment->terrain_heights_m[k] != 0) {
+      *where = 2 + k;
+      return MO_ERR_INVALID;
+    }
+  return MO_OK;
+}
+
 /* The shape of the terrain; *where: the number of what is wrong. */
 static int check_profile(const struct mo_environment *environment, uint32_t *where)
 {
@@ -100,17 +111,16 @@ static int check_profile(const struct mo_environment *environment, uint32_t *whe
   *where = MO_ENVIRONMENT_PROFILE;
   if (!isfinite(spacing_m))
     return MO_ERR_INVALID;
+  if (n == 0 && spacing_m != 0)
+    return MO_ERR_RANGE;
+  if (environment->grid != NULL && n != 0)
+    return MO_ERR_INVALID;
   if (n == 0)
-    return spacing_m == 0 ? MO_OK : MO_ERR_RANGE;
+    return environment->grid != NULL ? check_zeros(environment, 0, where) : MO_OK;
   if (n < MO_PROFILE_HEIGHTS_MIN || n > MO_TERRAIN_HEIGHTS ||
       spacing_m < MO_PROFILE_SPACING_MIN_M || spacing_m > MO_PROFILE_SPACING_MAX_M)
     return MO_ERR_RANGE;
-  for (uint32_t k = n; k < MO_TERRAIN_HEIGHTS; k++)
-    if (environment->terrain_heights_m[k] != 0) {
-      *where = 2 + k;
-      return MO_ERR_INVALID;
-    }
-  return MO_OK;
+  return check_zeros(environment, n, where);
 }
 
 static int check_damage(const struct mo_damage *damage)

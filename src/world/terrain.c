@@ -16,8 +16,9 @@ struct place {
   int clamped;
 };
 
-static struct place find_place(const struct mo_terrain_axis *axis, double coordinate_m)
+static struct place find_place(const struct mo_terrain_axis *axis, double position_m)
 {
+  const double coordinate_m = position_m - axis->from_m;
   struct place place = {0, 0.0, 1};
   if (coordinate_m > axis->size_m) {
     place.cell = axis->cells - 1;
@@ -36,7 +37,7 @@ double mo_terrain_height(const struct mo_environment *environment, double x_m, d
   const struct mo_terrain_map map = mo_terrain_map_of(environment);
   struct place x = find_place(&map.axis[0], x_m);
   struct place y = find_place(&map.axis[1], y_m);
-  const double *corner = environment->terrain_heights_m + y.cell * map.row + x.cell;
+  const double *corner = map.heights_m + y.cell * map.row + x.cell;
   double near = corner[0] + x.fraction * (corner[1] - corner[0]);
   double far = corner[map.row] + x.fraction * (corner[map.row + 1] - corner[map.row]);
   return near + y.fraction * (far - near);
@@ -48,7 +49,7 @@ void mo_terrain_gradient(const struct mo_environment *environment, double x_m, d
   const struct mo_terrain_map map = mo_terrain_map_of(environment);
   struct place x = find_place(&map.axis[0], x_m);
   struct place y = find_place(&map.axis[1], y_m);
-  const double *corner = environment->terrain_heights_m + y.cell * map.row + x.cell;
+  const double *corner = map.heights_m + y.cell * map.row + x.cell;
   double along_x_near = corner[1] - corner[0];
   double along_x_far = corner[map.row + 1] - corner[map.row];
   double along_y_left = corner[map.row] - corner[0];
@@ -64,6 +65,8 @@ void mo_terrain_gradient(const struct mo_environment *environment, double x_m, d
 double mo_terrain_highest(const struct mo_environment *environment)
 {
   const double *heights_m = environment->terrain_heights_m;
+  if (environment->grid != NULL)
+    return environment->grid->highest_m;
   const uint32_t n = environment->n_profile != 0 ? environment->n_profile : MO_TERRAIN_HEIGHTS;
   double highest = heights_m[0];
   for (uint32_t k = 1; k < n; k++)

@@ -1,4 +1,4 @@
-/* terrain.h: the cells of a terrain along each axis, which both shapes have: a profile is a grid of
+/* terrain.h: the cells of a terrain along each axis, which all shapes have: a profile is a grid of
  * one row of cells, whose height does not change with y; and the words of families. */
 #ifndef MORPHO_WORLD_TERRAIN_H
 #define MORPHO_WORLD_TERRAIN_H
@@ -10,27 +10,39 @@
   "rough", "flat", "slope", "stairs-up", "stairs-down", "hurdles", "gaps", "steps"
 
 struct mo_terrain_axis {
-  double size_m;      /* coordinates are clamped to 0 … size_m */
+  double from_m;      /* coordinates count from here; 0 but for a grid of another size */
+  double size_m;      /* they are clamped to 0 … size_m */
   double cells_per_m; /* 0: the height does not change along this axis */
   int cells;
 };
 
 struct mo_terrain_map {
   struct mo_terrain_axis axis[2];
-  int row; /* from a height to that of the next row: MO_TERRAIN_SIDE, or 0 for a profile */
+  int row; /* from a height to that of the next row: the number of columns, or 0 for a profile */
+  const double *heights_m;
 };
 
 static inline struct mo_terrain_map mo_terrain_map_of(const struct mo_environment *environment)
 {
+  const double *heights_m = environment->terrain_heights_m;
+  const struct mo_terrain_grid *grid = environment->grid;
+  if (grid != NULL) {
+    const int across = (int)grid->columns - 1, along = (int)grid->rows - 1;
+    const double per_m = 1 / grid->spacing_m;
+    return (struct mo_terrain_map){{{grid->from_m[0], across * grid->spacing_m, per_m, across},
+                                    {grid->from_m[1], along * grid->spacing_m, per_m, along}},
+                                   (int)grid->columns,
+                                   grid->heights_m};
+  }
   if (environment->n_profile == 0) {
     const struct mo_terrain_axis axis = {
-        MO_TERRAIN_SIZE_M, (MO_TERRAIN_SIDE - 1) / MO_TERRAIN_SIZE_M, MO_TERRAIN_SIDE - 1};
-    return (struct mo_terrain_map){{axis, axis}, MO_TERRAIN_SIDE};
+        0, MO_TERRAIN_SIZE_M, (MO_TERRAIN_SIDE - 1) / MO_TERRAIN_SIZE_M, MO_TERRAIN_SIDE - 1};
+    return (struct mo_terrain_map){{axis, axis}, MO_TERRAIN_SIDE, heights_m};
   }
   const int cells = (int)environment->n_profile - 1;
-  const struct mo_terrain_axis along = {cells * environment->profile_spacing_m,
+  const struct mo_terrain_axis along = {0, cells * environment->profile_spacing_m,
                                         1 / environment->profile_spacing_m, cells};
-  return (struct mo_terrain_map){{along, {0, 0, 1}}, 0};
+  return (struct mo_terrain_map){{along, {0, 0, 0, 1}}, 0, heights_m};
 }
 
 #endif

@@ -169,6 +169,38 @@ static inline void set_profile(struct mo_environment *environment, uint64_t k, d
         i < environment->n_profile ? sigma_m * mo_random_normal(&random) : 0;
 }
 
+static inline void drop_grid(void *grid)
+{
+  mo_terrain_grid_drop(grid);
+}
+
+/* Makes a grid with heights from N(0, sigma_m), one for each seed. */
+static inline const struct mo_terrain_grid *
+make_grid(uint32_t columns, uint32_t rows, double spacing_m, uint64_t seed, double sigma_m)
+{
+  struct mo_random random = dice(62, 0, seed);
+  const struct mo_terrain_grid *made = NULL;
+  double *heights_m = make_zeros((size_t)columns * rows, sizeof(double));
+  for (size_t k = 0; k < (size_t)columns * rows; k++)
+    heights_m[k] = sigma_m * mo_random_normal(&random);
+  make_check(mo_terrain_grid_create(columns, rows, spacing_m, heights_m, &made), "grid");
+  return check_keep((void *)(uintptr_t)made, drop_grid);
+}
+
+/* Gives an environment a grid, one for each k: long ones along both axes, one that ends under the
+ * body, and one that ends far away. */
+static inline void set_grid(struct mo_environment *environment, uint64_t k, double sigma_m)
+{
+  static const struct {
+    uint32_t columns, rows;
+    double spacing_m;
+  } shapes[] = {{31, 31, 0.13}, {128, 7, 0.04}, {5, 90, 0.07}, {12, 12, 0.5}};
+  for (uint32_t i = 0; i < MO_TERRAIN_HEIGHTS; i++)
+    environment->terrain_heights_m[i] = 0;
+  environment->grid = make_grid(shapes[k % 4].columns, shapes[k % 4].rows, shapes[k % 4].spacing_m,
+                                k, sigma_m * fmin(1, shapes[k % 4].spacing_m / 0.1));
+}
+
 /* ---- settings ---- */
 
 /* A field of settings, a value for it, and the expected message of the check. */

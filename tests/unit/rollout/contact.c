@@ -1,6 +1,6 @@
 /* contact.c: one mass on the terrain: impact times compared with a fine search, and the strike with
  * closed forms. */
-#include "../check.h"
+#include "../make.h"
 
 #include <morpho/random.h>
 
@@ -48,7 +48,8 @@ static double search(const struct mo_environment *environment, const double p[3]
   return dt;
 }
 
-/* Up to `highest_m`; every other one is a profile. */
+/* Up to `highest_m`; every other one is a profile, and of the others every other one a grid of
+ * another size, kept until the next. */
 static struct mo_environment rough(int number, double highest_m)
 {
   struct mo_environment environment = {0};
@@ -59,6 +60,13 @@ static struct mo_environment rough(int number, double highest_m)
   const int n = environment.n_profile != 0 ? (int)environment.n_profile : MO_TERRAIN_HEIGHTS;
   for (int k = 0; k < n; k++)
     environment.terrain_heights_m[k] = uniform(0, highest_m);
+  check_drop_to(0);
+  if (number % 4 == 2) {
+    memset(environment.terrain_heights_m, 0, sizeof(environment.terrain_heights_m));
+    environment.grid = make_grid(2 + mo_random_below(&random_numbers, 60),
+                                 2 + mo_random_below(&random_numbers, 60), uniform(0.06, 0.4),
+                                 (uint64_t)number, highest_m / 3);
+  }
   return environment;
 }
 
@@ -68,7 +76,7 @@ static struct mo_environment rough(int number, double highest_m)
 static void exact_against_search(void)
 {
   mo_random_init(&random_numbers, 5, MO_PURPOSE_CHECK, 0, 0);
-  int tried = 0, crossing = 0, earlier = 0, on_profiles = 0;
+  int tried = 0, crossing = 0, earlier = 0, on_profiles = 0, on_grids = 0;
   double worst = 0, worst_gap = 0;
   for (int number = 0; tried < 6000; number++) {
     const struct mo_environment environment = rough(number, 0.5);
@@ -80,6 +88,7 @@ static void exact_against_search(void)
       continue;
     tried++;
     on_profiles += environment.n_profile != 0;
+    on_grids += environment.grid != NULL;
     const double exact = mo_impact_exact(&environment, p, v, dt),
                  found = search(&environment, p, v, dt, 3000);
     REQUIRE(exact >= 0 && exact <= dt);
@@ -92,13 +101,13 @@ static void exact_against_search(void)
       worst = fmax(worst, fabs(exact - found));
     }
   }
-  printf(
-      "# %d segments, %d longer than a meter, %d on profiles: largest difference %.1e s, largest "
-      "gap %.1e m, %d dips that the walk missed\n",
-      tried, crossing, on_profiles, worst, worst_gap, earlier);
+  printf("# %d segments, %d longer than a meter, %d on profiles, %d on grids of other sizes: "
+         "largest difference %.1e s, largest "
+         "gap %.1e m, %d dips that the walk missed\n",
+         tried, crossing, on_profiles, on_grids, worst, worst_gap, earlier);
   CHECK(worst < 1e-9);
   CHECK(worst_gap < 1e-12);
-  CHECK(crossing > 1000 && on_profiles > 2000 && earlier < 60);
+  CHECK(crossing > 1000 && on_profiles > 2000 && on_grids > 1000 && earlier < 60);
 }
 
 /* Already on the ground, borders, edges, and a start slightly below the terrain because of

@@ -616,6 +616,10 @@ static void place_body(struct second *s)
 static double highest_of(const struct mo_environment *e)
 {
   double highest = e->terrain_heights_m[0];
+  for (uint32_t k = 0; e->grid != NULL && k < e->grid->columns * e->grid->rows; k++)
+    highest = k == 0 ? e->grid->heights_m[0] : fmax(highest, e->grid->heights_m[k]);
+  if (e->grid != NULL)
+    return highest;
   for (uint32_t k = 1; k < (e->n_profile != 0 ? e->n_profile : 64); k++)
     highest = fmax(highest, e->terrain_heights_m[k]);
   return highest;

@@ -9,8 +9,9 @@
 #include "task-cases.h"
 
 #define TOLERANCE 1e-10
-#define STEEP     1e-9  /* for `split` on profiles, whose many edges amplify rounding errors */
-#define NO_TOUCH  1e-15 /* before the first contact: rounding errors of a sum that cancels */
+#define STEEP                                                                                      \
+  1e-9 /* for `split` on profiles and fine grids, whose many edges amplify rounding errors */
+#define NO_TOUCH 1e-15 /* before the first contact: rounding errors of a sum that cancels */
 
 static struct second_parameters make_directions(const struct gradient_case *c, uint32_t k)
 {
@@ -74,7 +75,7 @@ static double compare(struct gradient_case *c, const struct second_parameters *d
   return worst;
 }
 
-enum scenes { PLAIN = 0, TASKS = 1, PROFILES = 2, OBJECTIVES = 4 };
+enum scenes { PLAIN = 0, TASKS = 1, PROFILES = 2, OBJECTIVES = 4, GRIDS = 8 };
 
 /* held: the steps of a control period in each case; NULL: the controller computes its outputs in
  * every step. scenes: with the tasks of task-cases.h or objective-cases.h, and on profiles, of
@@ -82,7 +83,7 @@ enum scenes { PLAIN = 0, TASKS = 1, PROFILES = 2, OBJECTIVES = 4 };
 static void run_scenes(enum mo_integrator integrator, const uint32_t *at, uint32_t n_at,
                        const uint32_t *held, uint32_t n_cases, unsigned scenes)
 {
-  const bool steep = (scenes & PROFILES) != 0 && integrator == MO_INTEGRATOR_SPLIT;
+  const bool steep = (scenes & (PROFILES | GRIDS)) != 0 && integrator == MO_INTEGRATOR_SPLIT;
   double worst_of_all = 0;
   uint32_t untouched = 0;
   printf("# case masses springs sigma_m sensor         impact    | largest relative error (largest "
@@ -102,6 +103,8 @@ static void run_scenes(enum mo_integrator integrator, const uint32_t *at, uint32
     }
     if (scenes & PROFILES)
       set_profile(&c.environment, k, fmin(c.sigma_m, 0.03));
+    if (scenes & GRIDS)
+      set_grid(&c.environment, k, fmin(c.sigma_m, 0.03));
     if ((scenes & PROFILES) && k % 2 == 1) /* in the middle of a control period, or before it */
       c.environment.damage = (struct mo_damage){1 + (k + 5) % MO_OCTANTS, 0.07 * (k % 4)};
     const struct second_parameters d = make_directions(&c, k);
@@ -203,6 +206,14 @@ static void profile_runs(void)
   run_scenes(MO_INTEGRATOR_SPLIT, at, COUNT(at), held, COUNT(held), PROFILES | TASKS);
 }
 
+static void grid_runs(void)
+{
+  static const uint32_t at[] = {10, 50, 200}, held[] = {4, 1, 3, 8, 1, 16, 5, 1};
+  run_scenes(MO_INTEGRATOR_PAPER, at, COUNT(at), held, COUNT(held), GRIDS);
+  run_scenes(MO_INTEGRATOR_SPLIT, at, COUNT(at), held, COUNT(held), GRIDS);
+  run_scenes(MO_INTEGRATOR_SPLIT, at, COUNT(at), held, COUNT(held), GRIDS | TASKS);
+}
+
 /* One mass and the transposed derivative of its step, compared with dual numbers input by input. */
 struct mass {
   const struct mo_physics *physics;
@@ -253,8 +264,8 @@ static uint64_t step_back(struct mass *m, double *error)
   return branch;
 }
 
-/* Anywhere on, above and beyond the map; on profiles, or on grids. */
-static void contact_of(enum mo_integrator integrator, bool profiles)
+/* Anywhere on, above and beyond the map; on grids of 8 × 8, profiles, or other grids. */
+static void contact_of(enum mo_integrator integrator, enum scenes scene)
 {
   struct mo_random random = dice(77, 4, 0);
   uint32_t struck = 0, capped = 0, crossed = 0, outside = 0;
@@ -266,8 +277,11 @@ static void contact_of(enum mo_integrator integrator, bool profiles)
     physics.scheme.impact = k % 4 == 0 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
     physics.scheme.dt_s = k % 3 == 0 ? 0.1 : 0.004; /* long enough to cross cells */
     mo_terrain_random(77, 5, k % 50, 0.1, m.environment.terrain_heights_m);
-    if (profiles)
+    const size_t kept = check_n_kept;
+    if (scene == PROFILES)
       set_profile(&m.environment, k % 50, 0.03);
+    if (scene == GRIDS)
+      set_grid(&m.environment, k % 50, 0.03);
     for (int i = 0; i < 3; i++) {
       m.p[i] = -0.5 + 6 * mo_random_uniform(&random);
       m.v[i] = (k % 5 == 0 ? 20 : 2) * mo_random_normal(&random);
@@ -291,6 +305,7 @@ static void contact_of(enum mo_integrator integrator, bool profiles)
     capped += branch != 0 && (branch & 2) == 0;
     crossed += branch != 0 && (branch >> 16 & 4095) != (branch >> 4 & 4095);
     outside += branch != 0 && (branch >> 4 & 3) != 0;
+    check_drop_to(kept);
   }
   printf("# 20000 states: %u struck, %u of them at the friction cap, %u changed cells, %u beyond "
          "the map; error %.1e\n",
@@ -301,9 +316,10 @@ static void contact_of(enum mo_integrator integrator, bool profiles)
 
 static void contact(void)
 {
-  for (int profiles = 0; profiles < 2; profiles++) {
-    contact_of(MO_INTEGRATOR_PAPER, profiles != 0);
-    contact_of(MO_INTEGRATOR_SPLIT, profiles != 0);
+  static const enum scenes grounds[] = {PLAIN, PROFILES, GRIDS};
+  for (size_t k = 0; k < COUNT(grounds); k++) {
+    contact_of(MO_INTEGRATOR_PAPER, grounds[k]);
+    contact_of(MO_INTEGRATOR_SPLIT, grounds[k]);
   }
 }
 
@@ -360,5 +376,6 @@ static const struct check_case cases[] = {
     {"tasks: every guide and objective", task_runs},
     {"objectives: work, heights and sums", objective_runs},
     {"profiles: 10 to 200 steps", profile_runs},
+    {"grids of other sizes: 10 to 200 steps", grid_runs},
 };
 CHECK_MAIN(cases)

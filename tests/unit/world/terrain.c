@@ -233,6 +233,105 @@ static void profile_checks(void)
   }
 }
 
+/* ---- grids of other sizes ---- */
+
+/* A bilinear function of the distance from the center is reproduced everywhere, with its slopes;
+ * beyond the edges, the height is that of the edge. */
+static void grid_values(void)
+{
+  static const struct {
+    uint32_t columns, rows;
+    double spacing_m;
+  } shapes[] = {{2, 2, 2}, {128, 128, 0.02}, {128, 3, 0.3}, {9, 40, 0.11}, {8, 8, SPACING}};
+  struct mo_random random = dice(13, 0, 0);
+  for (size_t c = 0; c < COUNT(shapes); c++) {
+    const uint32_t columns = shapes[c].columns, rows = shapes[c].rows;
+    const double d = shapes[c].spacing_m, half_x = (columns - 1) * d / 2,
+                 half_y = (rows - 1) * d / 2;
+    struct mo_environment environment = {.grid = NULL};
+    double *heights = make_zeros((size_t)columns * rows, sizeof(double)), highest = -INFINITY;
+    for (uint32_t k = 0; k < columns * rows; k++) {
+      const double x = k % columns * d - half_x;
+      const double y = k / columns * d - half_y; // NOLINT(bugprone-integer-division): the row
+      heights[k] = 0.3 + 0.2 * x - 0.1 * y + 0.05 * x * y;
+      highest = fmax(highest, heights[k]);
+    }
+    REQUIRE_OK(mo_terrain_grid_create(columns, rows, d, heights, &environment.grid));
+    CHECK(mo_environment_check(&environment, NULL) == MO_OK);
+    CHECK(mo_terrain_highest(&environment) == highest);
+    for (int trial = 0; trial < 2000; trial++) {
+      const double x = 2.6 * (mo_random_uniform(&random) - 0.5) * half_x,
+                   y = 2.6 * (mo_random_uniform(&random) - 0.5) * half_y;
+      const double u = fmin(fmax(x, -half_x), half_x), w = fmin(fmax(y, -half_y), half_y);
+      double gradient[2];
+      mo_terrain_gradient(&environment, 2.5 + x, 2.5 + y, gradient);
+      CHECK_NEAR(mo_terrain_height(&environment, 2.5 + x, 2.5 + y),
+                 0.3 + 0.2 * u - 0.1 * w + 0.05 * u * w, 1e-12);
+      CHECK_NEAR(gradient[0], u == x ? 0.2 + 0.05 * w : 0, 1e-10);
+      CHECK_NEAR(gradient[1], w == y ? -0.1 + 0.05 * u : 0, 1e-10);
+    }
+    CHECK(isfinite(mo_terrain_height(&environment, NAN, INFINITY)));
+    mo_environments_drop(&environment, 1);
+    CHECK(environment.grid == NULL);
+  }
+}
+
+/* With the size of the usual grid, every number is the same, on and beyond the map. */
+static void grid_as_usual(void)
+{
+  struct mo_environment usual = {.grid = NULL}, other = {.grid = NULL};
+  struct mo_random random = dice(14, 0, 0);
+  mo_terrain_random(5, 0, 0, 0.1, usual.terrain_heights_m);
+  REQUIRE_OK(mo_terrain_grid_create(8, 8, SPACING, usual.terrain_heights_m, &other.grid));
+  CHECK(other.grid->from_m[0] == 0 && other.grid->from_m[1] == 0);
+  for (int trial = 0; trial < 5000; trial++) {
+    const double x = 7 * mo_random_uniform(&random) - 1, y = 7 * mo_random_uniform(&random) - 1;
+    double a[2], b[2];
+    mo_terrain_gradient(&usual, x, y, a);
+    mo_terrain_gradient(&other, x, y, b);
+    CHECK(mo_terrain_height(&usual, x, y) == mo_terrain_height(&other, x, y));
+    CHECK(a[0] == b[0] && a[1] == b[1]);
+  }
+  mo_terrain_grid_drop(other.grid);
+}
+
+static void grid_checks(void)
+{
+  static const struct {
+    uint32_t columns, rows;
+    double spacing_m, height_m;
+    int code;
+  } tries[] = {{2, 128, 0.02, 100, MO_OK},       {128, 2, 2, -100, MO_OK},
+               {1, 5, 0.1, 0, MO_ERR_RANGE},     {5, 1, 0.1, 0, MO_ERR_RANGE},
+               {129, 5, 0.1, 0, MO_ERR_RANGE},   {5, 129, 0.1, 0, MO_ERR_RANGE},
+               {5, 5, 0.0199, 0, MO_ERR_RANGE},  {5, 5, 2.01, 0, MO_ERR_RANGE},
+               {5, 5, NAN, 0, MO_ERR_INVALID},   {5, 5, 0.1, 100.5, MO_ERR_RANGE},
+               {5, 5, 0.1, NAN, MO_ERR_INVALID}, {5, 5, 0.1, -INFINITY, MO_ERR_INVALID}};
+  double *heights = make_zeros(129 * 129, sizeof(double));
+  for (size_t i = 0; i < COUNT(tries); i++) {
+    struct mo_environment environments[2] = {{.grid = NULL}, {.grid = NULL}};
+    uint32_t where = 99;
+    heights[3] = tries[i].height_m;
+    CHECK_INT(mo_terrain_grid_create(tries[i].columns, tries[i].rows, tries[i].spacing_m, heights,
+                                     &environments[0].grid),
+              tries[i].code);
+    if (tries[i].code != MO_OK)
+      continue;
+    environments[1] = environments[0];
+    mo_environments_hold(&environments[1], 1);
+    mo_environments_drop(&environments[0], 1);
+    CHECK_INT(mo_environment_check(&environments[1], &where), MO_OK);
+    environments[1].terrain_heights_m[5] = 1;
+    CHECK_INT(mo_environment_check(&environments[1], &where), MO_ERR_INVALID);
+    CHECK_INT(where, 7);
+    environments[1].n_profile = 8;
+    environments[1].profile_spacing_m = 0.1;
+    CHECK_INT(mo_environment_check(&environments[1], &where), MO_ERR_INVALID);
+    CHECK_INT(where, MO_ENVIRONMENT_PROFILE);
+    mo_environments_drop(&environments[1], 1);
+  }
+}
+
 static const struct check_case cases[] = {
     {"grid points have their heights", corners},
     {"bilinear functions are exact", bilinear},
@@ -242,5 +341,8 @@ static const struct check_case cases[] = {
     {"profiles are linear between heights", profile_values},
     {"profiles end at their first and last heights", profile_limits},
     {"the shape of a terrain is checked", profile_checks},
+    {"grids of other sizes are bilinear around the center", grid_values},
+    {"a grid of the usual size has the usual numbers", grid_as_usual},
+    {"grids are checked and shared", grid_checks},
 };
 CHECK_MAIN(cases)
