@@ -132,27 +132,50 @@ static float profile_at(const struct scene_world *world, float x, float slope[2]
   return h[0] + (c - (float)i) * (h[1] - h[0]);
 }
 
+/* Of a grid: heights along each axis, how many there are per meter, and where the first is. */
+struct lattice {
+  int sides[2];
+  float per_m, from_m[2];
+};
+
+static struct lattice lattice_of(const struct scene_world *world)
+{
+  if (world->columns == 0)
+    return (struct lattice){{8, 8}, 1.4f, {0, 0}};
+  const float half = (float)world->spacing_m / 2;
+  return (struct lattice){
+      {(int)world->columns, (int)world->rows},
+      1 / (float)world->spacing_m,
+      {2.5f - half * (float)(world->columns - 1), 2.5f - half * (float)(world->rows - 1)}};
+}
+
 /* Returns the height of the terrain, bilinear and clamped as in the simulation, and its slope. */
 static float height_at(const struct scene_world *world, float x, float y, float slope[2])
 {
   if (world->n_profile != 0)
     return profile_at(world, x, slope);
-  const float cx = clamp(x * 1.4f, 0, 7), cy = clamp(y * 1.4f, 0, 7);
-  const int i = cx >= 7 ? 6 : (int)cx, j = cy >= 7 ? 6 : (int)cy;
-  const float fx = cx - (float)i, fy = cy - (float)j, *h = world->heights_m + j * 8 + i;
+  const struct lattice l = lattice_of(world);
+  const int columns = l.sides[0], last[2] = {columns - 1, l.sides[1] - 1};
+  const float cx = clamp((x - l.from_m[0]) * l.per_m, 0, (float)last[0]),
+              cy = clamp((y - l.from_m[1]) * l.per_m, 0, (float)last[1]);
+  const int i = cx >= (float)last[0] ? last[0] - 1 : (int)cx,
+            j = cy >= (float)last[1] ? last[1] - 1 : (int)cy;
+  const float fx = cx - (float)i, fy = cy - (float)j, *h = world->heights_m + j * columns + i,
+              *far = h + columns;
   if (slope != NULL) {
-    slope[0] = 1.4f * ((1 - fy) * (h[1] - h[0]) + fy * (h[9] - h[8]));
-    slope[1] = 1.4f * ((1 - fx) * (h[8] - h[0]) + fx * (h[9] - h[1]));
+    slope[0] = l.per_m * ((1 - fy) * (h[1] - h[0]) + fy * (far[1] - far[0]));
+    slope[1] = l.per_m * ((1 - fx) * (far[0] - h[0]) + fx * (far[1] - h[1]));
   }
-  return (1 - fy) * ((1 - fx) * h[0] + fx * h[1]) + fy * ((1 - fx) * h[8] + fx * h[9]);
+  return (1 - fy) * ((1 - fx) * h[0] + fx * h[1]) + fy * ((1 - fx) * far[0] + fx * far[1]);
 }
 
-/* Returns up to which x the ground is drawn in full. */
-static float reach_of(const struct scene_world *world)
+/* Returns the length along an axis of the ground that is drawn in full. */
+static float reach_of(const struct scene_world *world, int axis)
 {
-  return world->n_profile == 0
-             ? 5
-             : clamp((float)world->spacing_m * (float)(world->n_profile - 1), 5, 8);
+  const uint32_t n = axis == 0 && world->n_profile != 0 ? world->n_profile
+                     : axis == 0                        ? world->columns
+                                                        : world->rows;
+  return n == 0 ? 5 : clamp((float)world->spacing_m * (float)(n - 1), 5, 8);
 }
 
 /* Returns the position of a mass at a time, between two frames. */
@@ -260,9 +283,10 @@ static struct vector shade_ground(const struct raster *raster, struct vector at,
   const float dx = at.x - raster->lamp.x, dy = at.y - raster->lamp.y, r2 = dx * dx + dy * dy;
   lit = add(lit, times(look->glow,
                        0.35f * expf(-9 * r2) + 0.5f * smooth(0.012f, 0, fabsf(sqrtf(r2) - 0.12f))));
-  const float half = reach_of(raster->world) / 2,
-              bx = fmaxf(fabsf(at.x - half) - (half - 0.15f), 0),
-              by = fmaxf(fabsf(at.y - 2.5f) - 2.35f, 0);
+  const float half_x = reach_of(raster->world, 0) / 2, half_y = reach_of(raster->world, 1) / 2,
+              middle = raster->world->n_profile != 0 ? half_x : 2.5f,
+              bx = fmaxf(fabsf(at.x - middle) - (half_x - 0.15f), 0),
+              by = fmaxf(fabsf(at.y - 2.5f) - (half_y - 0.15f), 0);
   const float fade = fmaxf(smooth(0, 1.3f, sqrtf(bx * bx + by * by)), smooth(7, 13, w));
   return mix(expose(lit), look->background, fade);
 }
@@ -348,19 +372,22 @@ static void fill(struct raster *raster, const struct vertex corners[4], const in
     }
 }
 
-/* Moves an x of the mesh onto a height of a profile that is less than a cell away, so that its
- * edges are sharp. */
-static float on_profile(const struct scene_world *world, float x)
+/* Moves a coordinate of the mesh onto a height of a profile, or of a grid of another size than
+ * 8 × 8, that is less than a cell away, so that its edges are sharp. */
+static float on_height(const struct scene_world *world, int axis, float at)
 {
-  if (world->n_profile == 0)
-    return x;
-  const float height = roundf(x / (float)world->spacing_m) * (float)world->spacing_m;
-  return fabsf(height - x) < 0.05f ? height : x;
+  if (world->columns == 0 && (world->n_profile == 0 || axis == 1))
+    return at;
+  const float from = world->columns != 0 ? lattice_of(world).from_m[axis] : 0;
+  const float spacing = (float)world->spacing_m;
+  const float height = from + roundf((at - from) / spacing) * spacing;
+  return fabsf(height - at) < 0.05f ? height : at;
 }
 
 static void draw_ground(struct raster *raster)
 {
-  const int mesh = raster->world->n_profile != 0 ? FINE_MESH : MESH;
+  const bool is_fine = raster->world->n_profile != 0 || raster->world->columns != 0;
+  const int mesh = is_fine ? FINE_MESH : MESH;
   for (int j = 0; j < mesh; j++)
     for (int i = 0; i < mesh; i++) {
       struct vertex corners[4];
@@ -369,8 +396,8 @@ static void draw_ground(struct raster *raster)
         /* Finer in the middle, where robots walk. */
         const float cx = 2 * (float)(i + (k == 1 || k == 2)) / (float)mesh - 1,
                     cy = 2 * (float)(j + (k >> 1)) / (float)mesh - 1;
-        const float x = on_profile(raster->world, 2.5f + cx * (0.55f + 0.45f * fabsf(cx)) * 6),
-                    y = 2.5f + cy * (0.55f + 0.45f * fabsf(cy)) * 6;
+        const float x = on_height(raster->world, 0, 2.5f + cx * (0.55f + 0.45f * fabsf(cx)) * 6),
+                    y = on_height(raster->world, 1, 2.5f + cy * (0.55f + 0.45f * fabsf(cy)) * 6);
         const float z = height_at(raster->world, x, y, NULL);
         seen &= see(raster, (struct vector){x, y, z}, &corners[k]);
       }

@@ -95,12 +95,37 @@ static void read_body(const struct reader *reader, const json_t *item, struct sc
   check_indices(body->voxels, body->n_voxels, 8, 8, body->n_masses);
 }
 
-/* A profile is JSON, not an array after the header. */
-static void read_profile(const json_t *terrain, struct scene_world *world)
+/* A grid of another size than 8 × 8: rows of heights. */
+static void read_grid(const json_t *list, struct scene_world *world)
+{
+  const size_t rows = json_array_size(list), columns = json_array_size(json_array_get(list, 0));
+  if (rows < 2 || rows > 128 || columns < 2 || columns > 128 ||
+      !(world->spacing_m > 1e-3 && world->spacing_m < 1e3))
+    refuse("a grid does not have 2 to 128 rows of 2 to 128 heights, or no spacing");
+  float *heights_m = keep(calloc(rows * columns, sizeof(*heights_m)));
+  for (size_t j = 0; j < rows; j++) {
+    const json_t *row = json_array_get(list, j);
+    if (json_array_size(row) != columns)
+      refuse("a row of a grid is not as long as the first");
+    for (size_t i = 0; i < columns; i++)
+      heights_m[j * columns + i] = (float)json_number_value(json_array_get(row, i));
+  }
+  world->heights_m = heights_m;
+  world->columns = (uint32_t)columns;
+  world->rows = (uint32_t)rows;
+  check_places(heights_m, rows * columns);
+}
+
+/* A terrain other than 8 × 8 heights is JSON, not an array after the header. */
+static void read_terrain(const json_t *terrain, struct scene_world *world)
 {
   const json_t *heights = json_object_get(terrain, "heights_m");
   const size_t n = json_array_size(heights);
   world->spacing_m = json_number_value(json_object_get(terrain, "spacing_m"));
+  if (json_is_array(json_array_get(heights, 0))) {
+    read_grid(heights, world);
+    return;
+  }
   if (n < 2 || n > 64 || !(world->spacing_m > 1e-3 && world->spacing_m < 1e3))
     refuse("a profile does not have 2 to 64 heights, or no spacing");
   float *heights_m = keep(calloc(n, sizeof(*heights_m)));
@@ -118,7 +143,7 @@ static void read_world(const struct reader *reader, const json_t *item, struct s
   for (size_t axis = 0; axis < 2; axis++)
     world->light_xy_m[axis] = json_number_value(json_array_get(light, axis));
   if (json_object_get(item, "terrain") != NULL) {
-    read_profile(json_object_get(item, "terrain"), world);
+    read_terrain(json_object_get(item, "terrain"), world);
   } else {
     world->heights_m =
         array(reader, json_object_get(item, "terrain_heights_m"), "float32", 4, sizes, 2, 8);

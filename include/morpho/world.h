@@ -40,6 +40,9 @@ extern "C" {
 #define MO_GRID_SIDE_MAX         128
 #define MO_GRID_SPACING_MIN_M    0.02
 #define MO_GRID_SPACING_MAX_M    2.0
+/* Heights that the grids of a request may have together: 16 of the largest, 2 MiB as they are kept.
+ */
+#define MO_GRIDS_HEIGHTS_MAX (16 * MO_GRID_SIDE_MAX * MO_GRID_SIDE_MAX)
 
 /* Springs that break during the rollout: those of one octant of the body's bounding box before the
  * rollout (a spring is where its midpoint is; on a middle plane, it is on the side with larger

@@ -254,7 +254,7 @@ static int check_found(struct mo_request *request, struct mo_post *post, const c
   if (error == MO_OK)
     error = mo_study_compare(request->body, request->body_size, &status, environments,
                              &controller.sha256, &post->faults);
-  free(environments);
+  mo_environments_free(environments, n);
   if (error == MO_OK && post->faults.n == 0)
     error = mo_store_keep_key(store, &post->key, request->kept);
   if (error != MO_OK || post->faults.n == 0)

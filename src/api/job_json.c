@@ -98,6 +98,8 @@ int mo_tasks_read(struct mo_store *store, int64_t id, enum mo_job_kind kind, con
   const int error = mo_store_job_environments(store, id, kind, environments, &n);
   for (uint32_t i = 0; error == MO_OK && i < n; i++)
     is_plain = is_plain && mo_task_is_plain(&(*environments)[i].task);
+  if (error == MO_OK)
+    mo_environments_drop(*environments, n); /* only tasks are wanted */
   if (is_plain) {
     free(*environments);
     *environments = NULL;

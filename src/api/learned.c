@@ -182,7 +182,7 @@ void mo_api_get_training_held_out(struct mo_request *request)
     reply_held_out(request, genotypes,
                    n < settings->held_out_designs ? n : settings->held_out_designs, environments,
                    n_environments, &settings->physics);
-  free(environments);
+  mo_environments_free(environments, n_environments);
   free(genotypes);
 }
 

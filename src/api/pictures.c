@@ -127,7 +127,7 @@ static int draw(struct mo_api *api, const struct mo_job *job, uint32_t *numbers,
     choose_axes(objectives, polygons, (uint32_t)n, axes);
     mo_suite_draw(text, title, polygons, (uint32_t)n, axes, width_px, is_dark);
   }
-  free(environments);
+  mo_environments_free(environments, n_environments);
   return error;
 }
 

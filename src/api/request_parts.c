@@ -189,6 +189,7 @@ static void read_list(struct mo_json *json, const char *what,
                       struct mo_parts *parts)
 {
   const unsigned depth = json->depth;
+  size_t n_heights = 0; /* of grids */
   uint32_t n = 0;
   if (parts->environments != NULL) {
     mo_json_skip(json);
@@ -202,12 +203,20 @@ static void read_list(struct mo_json *json, const char *what,
   }
   mo_json_array(json);
   while (mo_json_item(json)) {
-    if (n < MO_ENVIRONMENTS_MAX)
+    if (n < MO_ENVIRONMENTS_MAX && n_heights <= MO_GRIDS_HEIGHTS_MAX) {
       read(json, &parts->environments[n]);
-    else
+      const struct mo_terrain_grid *grid = parts->environments[n].grid;
+      n_heights += grid != NULL ? (size_t)grid->columns * grid->rows : 0;
+    } else {
       mo_json_skip(json);
+    }
     n += n <= MO_ENVIRONMENTS_MAX;
   }
+  if (n_heights > MO_GRIDS_HEIGHTS_MAX)
+    mo_json_fault_at(json, depth, "",
+                     "the grids of all environments may have at most %d heights together; use "
+                     "smaller or fewer grids",
+                     MO_GRIDS_HEIGHTS_MAX);
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
     mo_json_fault_at(json, depth, "", "must have 1 to %d %s, got %s", MO_ENVIRONMENTS_MAX, what,
                      n == 0 ? "none" : "too many");
@@ -474,7 +483,7 @@ void mo_parts_free(struct mo_parts *parts)
 {
   free(parts->genotypes);
   free(parts->notes);
-  free(parts->environments);
+  mo_environments_free(parts->environments, MO_ENVIRONMENTS_MAX);
 }
 _Static_assert(MO_BACK_END_AUTO + 1 == 0 && (int)MO_ON_DEVICE == 1,
                "the words are in the order of their values");

@@ -136,15 +136,20 @@ static void compare_damage(struct comparison *comparison, uint32_t place,
 
 static void describe_terrain(const struct mo_environment *environment, char text[VALUE_SHOWN])
 {
-  if (environment->n_profile == 0)
+  const struct mo_terrain_grid *grid = environment->grid;
+  if (grid != NULL)
+    snprintf(text, VALUE_SHOWN, "a grid of %u rows of %u heights, %.12g m apart", grid->rows,
+             grid->columns, grid->spacing_m);
+  else if (environment->n_profile == 0)
     snprintf(text, VALUE_SHOWN, "a grid of heights");
   else
     snprintf(text, VALUE_SHOWN, "a profile of %u heights, %.12g m apart", environment->n_profile,
              environment->profile_spacing_m);
 }
 
-/* Terrains of which at least one is a profile. Shows only the first height that differs. */
-static void compare_profiles(struct comparison *comparison, uint32_t place,
+/* Terrains of which at least one is a profile or a grid of another size than 8 × 8. Shows only the
+ * first height that differs. */
+static void compare_terrains(struct comparison *comparison, uint32_t place,
                              const struct mo_environment *given, const struct mo_environment *known)
 {
   char pointer[64], a[VALUE_SHOWN], b[VALUE_SHOWN];
@@ -156,13 +161,21 @@ static void compare_profiles(struct comparison *comparison, uint32_t place,
     add(comparison, pointer, a, b);
     return;
   }
-  while (k < given->n_profile && given->terrain_heights_m[k] == known->terrain_heights_m[k])
+  const struct mo_terrain_grid *grid = given->grid;
+  const uint32_t n = grid != NULL ? grid->columns * grid->rows : given->n_profile;
+  const double *ours = grid != NULL ? grid->heights_m : given->terrain_heights_m;
+  const double *theirs = grid != NULL ? known->grid->heights_m : known->terrain_heights_m;
+  while (k < n && ours[k] == theirs[k])
     k++;
-  if (k == given->n_profile)
+  if (k == n)
     return;
-  snprintf(pointer, sizeof(pointer), "/environments/%u/terrain/heights_m/%u", place, k);
-  show(&given->terrain_heights_m[k], 1, a);
-  show(&known->terrain_heights_m[k], 1, b);
+  if (grid != NULL)
+    snprintf(pointer, sizeof(pointer), "/environments/%u/terrain/heights_m/%u/%u", place,
+             k / grid->columns, k % grid->columns);
+  else
+    snprintf(pointer, sizeof(pointer), "/environments/%u/terrain/heights_m/%u", place, k);
+  show(&ours[k], 1, a);
+  show(&theirs[k], 1, b);
   add(comparison, pointer, a, b);
 }
 
@@ -172,8 +185,8 @@ static void compare_environment(struct comparison *comparison, uint32_t place,
 {
   for (size_t i = 0; i < mo_place_fields.n; i++) {
     const struct mo_field *field = &mo_place_fields.rows[i];
-    if (i == MO_PLACE_HEIGHTS && (given->n_profile != 0 || known->n_profile != 0))
-      compare_profiles(comparison, place, given, known);
+    if (i == MO_PLACE_HEIGHTS && (!mo_place_has(given, i) || !mo_place_has(known, i)))
+      compare_terrains(comparison, place, given, known);
     else if (mo_place_has(given, i) && mo_place_has(known, i))
       compare_numbers(comparison, field, place, mo_environment_numbers(given, field),
                       mo_environment_numbers(known, field));

@@ -37,6 +37,8 @@ void mo_api_get_environment(struct mo_request *request)
   const int error = mo_store_environment(mo_api_of(request)->store, &hash, &environment);
   if (error == MO_OK)
     mo_environment_write(&text, &environment);
+  if (error == MO_OK)
+    mo_environments_drop(&environment, 1);
   reply_kept(request, error, &text, "environment");
 }
 
@@ -73,7 +75,7 @@ static void reply_environments(struct mo_request *request, int error,
     for (uint32_t i = 0; i < n; i++)
       mo_environment_write(&text, &environments[i]);
     mo_text_add(&text, "]}");
-    free(environments);
+    mo_environments_free(environments, n);
   }
   mo_reply_text(request, error, &text, what);
 }

@@ -10,10 +10,18 @@
 
 void mo_sha256_of(const void *data, size_t size, struct mo_sha256 *hash)
 {
+  mo_sha256_of_both(data, size, NULL, 0, hash);
+}
+
+void mo_sha256_of_both(const void *first, size_t first_size, const void *second, size_t second_size,
+                       struct mo_sha256 *hash)
+{
   struct sha256_ctx context;
   sha256_init(&context);
-  if (size > 0)
-    sha256_update(&context, size, data);
+  if (first_size > 0)
+    sha256_update(&context, first_size, first);
+  if (second_size > 0)
+    sha256_update(&context, second_size, second);
   sha256_digest(&context, sizeof(hash->bytes), hash->bytes);
 }
 

@@ -14,6 +14,9 @@ struct mo_sha256 {
 };
 
 void mo_sha256_of(const void *data, size_t size, struct mo_sha256 *hash);
+/* Of two pieces, as if they were one. */
+void mo_sha256_of_both(const void *first, size_t first_size, const void *second, size_t second_size,
+                       struct mo_sha256 *hash);
 /* Writes a hash in lower case; returns `digits`. */
 char *mo_sha256_to_hex(const struct mo_sha256 *hash, char digits[MO_SHA256_DIGITS + 1]);
 /* Makes the same text as an argument of "%s"; valid until the end of the block. */

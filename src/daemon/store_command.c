@@ -78,6 +78,8 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
     printf("%" PRId64 " losses of class \"%s\" recomputed, %" PRIu64 " differ.\n", found,
            fingerprint, *n_differ - before);
   mo_loaded_free_all(&controllers);
+  for (int64_t i = 0; i < (int64_t)n; i++)
+    mo_environments_drop(&samples[i].environment, 1);
   free(samples);
   return error;
 }

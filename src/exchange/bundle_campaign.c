@@ -125,6 +125,7 @@ int mo_reading_begin(struct mo_reading *reading)
   struct mo_bundle_summary *summary = reading->summary;
   struct mo_message words = {""};
   const struct mo_known_controller *start;
+  mo_environments_drop(campaign->environments, MO_ENVIRONMENTS_MAX);
   int error = mo_bundle_read_campaign(reading->lines, reading->member.bytes, reading->member.size,
                                       campaign, &words);
   if (error != MO_OK)

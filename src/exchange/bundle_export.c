@@ -246,7 +246,7 @@ static int write_environments(struct mo_bundle_export *export, struct mo_text *o
     mo_text_bytes(&export->member, line.data, line.size);
     mo_text_free(&line);
   }
-  free(environments);
+  mo_environments_free(environments, n);
   next_phase(export);
   return error == MO_OK ? add(export, "environments.ndjson", false, out) : error;
 }

@@ -195,6 +195,7 @@ int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *latt
   free(reading->deaths);
   free(reading->born);
   free(reading->means);
+  mo_environments_drop(reading->campaign.environments, MO_ENVIRONMENTS_MAX);
   free(reading);
   return error;
 }

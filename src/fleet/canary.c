@@ -94,6 +94,15 @@ static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environ
     set_objective(lane, &environment->task);
 }
 
+/* Turns a grid of 8 × 8 heights into one of 16 × 4. */
+static int set_grid(struct mo_environment *environment)
+{
+  const int error = mo_terrain_grid_create(16, MO_TERRAIN_HEIGHTS / 16, 0.15,
+                                           environment->terrain_heights_m, &environment->grid);
+  memset(environment->terrain_heights_m, 0, sizeof(environment->terrain_heights_m));
+  return error;
+}
+
 static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_back_end back_end)
 {
   int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &canary->lattice);
@@ -120,9 +129,11 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
     canary->measuring[b] = (struct mo_measuring){MO_MEASURES_ALL, canary->measures[b]};
     if (back_end == MO_ON_CPU) /* devices do not compute measures */
       block->measuring = &canary->measuring[b];
-    for (uint32_t e = 0; e < MO_BLOCK_LANES; e++) {
+    for (uint32_t e = 0; e < MO_BLOCK_LANES && error == MO_OK; e++) {
       mo_environment_training(SEED, b, e, &canary->environments[b][e]);
       set_task(e, back_end, &canary->environments[b][e]);
+      if (e % 4 == 2 && back_end == MO_ON_CPU) /* devices do not compute them */
+        error = set_grid(&canary->environments[b][e]);
       block->environments[e] = &canary->environments[b][e];
     }
   }
@@ -240,6 +251,7 @@ int mo_fleet_canary(struct mo_compute *compute, enum mo_back_end back_end, struc
   mo_compute_controller_free(canary->prepared);
   mo_controller_free(canary->controller);
   mo_lattice_free(canary->lattice);
+  mo_environments_drop(canary->environments[0], (size_t)BODIES * MO_BLOCK_LANES);
   free(canary);
   return error;
 }

@@ -1,6 +1,6 @@
 /* content.c: see content.h. Blocks of one job point to the same environments, so environments are
- * told apart by their addresses: comparing 528 bytes for each row would cost more than sending some
- * environments twice. */
+ * told apart by their addresses: comparing at least 528 bytes for each row would cost more than
+ * sending some environments twice. */
 #include "fleet/content.h"
 
 #include <stdlib.h>
@@ -31,6 +31,7 @@ static int number_of(struct numbers *numbers, struct mo_wire_lease *content,
     if (content->n_environments == MO_WIRE_ENVIRONMENTS_MAX)
       return MO_ERR_LIMIT;
     content->environments[content->n_environments] = *environment;
+    mo_environments_hold(environment, 1);
     numbers->slots[at].environment = environment;
     numbers->slots[at].number = (uint16_t)content->n_environments++;
   }

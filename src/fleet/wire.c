@@ -183,14 +183,22 @@ static unsigned environment_version(const struct mo_wire_lease *lease)
   return version;
 }
 
+static size_t environments_bytes(const struct mo_wire_lease *lease)
+{
+  const unsigned version = environment_version(lease);
+  size_t size = 0;
+  for (uint32_t e = 0; e < lease->n_environments; e++)
+    size += mo_environment_packed_bytes(&lease->environments[e], version);
+  return size;
+}
+
 static size_t lease_bytes(const struct mo_wire_lease *lease, struct mo_workspace workspace)
 {
   return sizeof(struct lease) +
          mo_fields_packed_bytes(&mo_physics_fields, mo_physics_version(&lease->physics)) +
          sizeof(uint32_t) + (lease->n_parameters > 0 ? gradient_bytes(lease) : 0) +
-         lease->n_environments *
-             mo_fields_packed_bytes(&mo_environment_fields, environment_version(lease)) +
-         lease->n_blocks * (genotype_bytes(workspace) + 1) + lease->n_rows * sizeof(uint16_t);
+         environments_bytes(lease) + lease->n_blocks * (genotype_bytes(workspace) + 1) +
+         lease->n_rows * sizeof(uint16_t);
 }
 
 static void put_lease(struct codec *codec, const struct mo_wire_lease *lease,
@@ -215,8 +223,10 @@ static void put_lease(struct codec *codec, const struct mo_wire_lease *lease,
     put_packed(codec, &mo_gradient_packed_fields, gradient, &lease->gradient);
     put(codec, &lease->n_parameters, sizeof(lease->n_parameters));
   }
-  for (uint32_t e = 0; e < lease->n_environments; e++)
-    put_packed(codec, &mo_environment_fields, environment, &lease->environments[e]);
+  for (uint32_t e = 0; e < lease->n_environments; e++) {
+    mo_environment_pack(&lease->environments[e], environment, codec->to + codec->at);
+    codec->at += mo_environment_packed_bytes(&lease->environments[e], environment);
+  }
   for (uint32_t b = 0; b < lease->n_blocks; b++) {
     const struct mo_wire_block *block = &lease->blocks[b];
     const uint8_t n = (uint8_t)block->n_environments;
@@ -377,6 +387,21 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, unsigned *
   return head.flags & GRADIENT ? get_gradient(codec, lease, gradient, i, message) : MO_OK;
 }
 
+static int get_environment(struct codec *codec, unsigned version,
+                           struct mo_environment *environment, uint32_t i,
+                           struct mo_message *message)
+{
+  size_t used = 0;
+  const int error = mo_environment_unpack(version, codec->from + codec->at, codec->size - codec->at,
+                                          environment, &used);
+  codec->at += used;
+  if (error != MO_ERR_FORMAT)
+    return error;
+  if (used == 0 && version <= MO_ENVIRONMENT_GRID_VERSION)
+    return cut_off(message, "lease", i);
+  return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags, or an invalid grid", i);
+}
+
 static int get_environments(struct codec *codec, struct mo_wire_lease *lease, unsigned version,
                             uint32_t i, struct mo_message *message)
 {
@@ -385,8 +410,7 @@ static int get_environments(struct codec *codec, struct mo_wire_lease *lease, un
   for (uint32_t e = 0; e < lease->n_environments && error == MO_OK; e++) {
     struct mo_environment *environment = &lease->environments[e];
     uint32_t where = 0;
-    *environment = mo_environment_defaults;
-    error = get_packed(codec, &mo_environment_fields, version, environment, i, message);
+    error = get_environment(codec, version, environment, i, message);
     if (error != MO_OK || mo_environment_check(environment, &where) == MO_OK)
       continue;
     if (mo_task_check(&environment->task, &why) != MO_OK)
@@ -412,7 +436,7 @@ static int get_lease(struct codec *codec, struct mo_workspace workspace,
   int error = get_head(codec, lease, &environment, i, message);
   if (error != MO_OK)
     return error;
-  lease->environments = malloc(lease->n_environments * sizeof(*lease->environments));
+  lease->environments = calloc(lease->n_environments, sizeof(*lease->environments));
   lease->blocks = malloc(lease->n_blocks * sizeof(*lease->blocks));
   if (lease->environments == NULL || lease->blocks == NULL)
     return MO_ERR_NO_MEMORY;
@@ -451,7 +475,7 @@ int mo_wire_get_leases(const uint8_t *bytes, size_t size, struct mo_workspace wo
 
 void mo_wire_free_lease(struct mo_wire_lease *lease)
 {
-  free(lease->environments);
+  mo_environments_free(lease->environments, lease->n_environments);
   free(lease->blocks);
   lease->environments = NULL;
   lease->blocks = NULL;

@@ -134,6 +134,11 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, cons
 const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n)
 {
   for (uint32_t i = 0; environments != NULL && i < n; i++)
+    if (environments[i].grid != NULL)
+      return "devices cannot compute terrains of kind \"grid\" yet; request \"cpu\" or \"auto\", "
+             "or "
+             "environments with 8 × 8 heights (terrain_heights_m) or profiles";
+  for (uint32_t i = 0; environments != NULL && i < n; i++)
     if (!mo_task_suits_devices(&environments[i].task))
       return "devices cannot compute the objectives \"efficient\" and \"jump\" and weighted sums "
              "yet; request \"cpu\" or \"auto\", or environments with other objectives";

@@ -196,7 +196,7 @@ static void clean_up(void *context)
   mo_seen_free(run->seen);
   mo_study_batch_free(run->batch);
   mo_exclusion_release(run);
-  free(run->environments);
+  mo_environments_free(run->environments, run->n_environments);
   mo_campaign_free_rows(run);
 }
 

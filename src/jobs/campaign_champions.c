@@ -175,7 +175,7 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
   }
   if (error == MO_OK)
     error = mo_jobs_submit_evaluation(jobs, &request, evaluation, &replayed, message);
-  free(environments);
+  mo_environments_free(environments, request.n_environments);
   return error == MO_ERR_CONFLICT ? MO_ERR_DUPLICATE : error;
 }
 

@@ -15,7 +15,7 @@
 void mo_held_out_free(struct mo_held_out *held_out)
 {
   free(held_out->genotypes);
-  free(held_out->environments);
+  mo_environments_free(held_out->environments, held_out->n_environments);
   memset(held_out, 0, sizeof(*held_out));
 }
 
@@ -39,7 +39,7 @@ int mo_held_out_worlds(struct mo_store *store, const struct mo_training_status *
     error = MO_ERR_NO_MEMORY;
   if (error == MO_OK)
     mo_held_out_tasks(record->settings.seed, *n, own, n_own, *environments);
-  free(own);
+  mo_environments_free(own, n_own);
   return error;
 }
 

@@ -23,7 +23,7 @@ void mo_rollouts_free(struct mo_rollouts *rollouts)
     mo_state_free(&rollouts->ends[i]);
   free(rollouts->ends);
   free(rollouts->designs);
-  free(rollouts->environments);
+  mo_environments_free(rollouts->environments, rollouts->n_environments);
   free(rollouts->rollouts);
   free(rollouts);
 }
@@ -45,6 +45,7 @@ static int take_environments(struct mo_jobs *jobs, const struct mo_evaluation_re
     return MO_ERR_NO_MEMORY;
   memcpy(rollouts->environments, request->environments,
          request->n_environments * sizeof(*rollouts->environments));
+  mo_environments_hold(rollouts->environments, request->n_environments);
   rollouts->n_environments = request->n_environments;
   return MO_OK;
 }

@@ -58,7 +58,7 @@ static int orient(struct mo_jobs *jobs, int64_t id, const struct mo_campaign_sta
   for (uint32_t i = 0; i < n && error == MO_OK; i++)
     telling->batch.children[i].genotype =
         mo_genotype_of(jobs->lattice->workspace, &placed.genotypes[i]);
-  free(environments);
+  mo_environments_free(environments, under.n_environments);
   mo_placed_free(&placed);
   return error;
 }

@@ -168,7 +168,7 @@ static int set_environments(struct run *run)
     error = run->status.record.draws_worlds
                 ? mo_training_set_tasks(run->learner.training, environments, n)
                 : mo_training_set_environments(run->learner.training, environments, n);
-  free(environments);
+  mo_environments_free(environments, n);
   return error;
 }
 

@@ -128,6 +128,8 @@ int mo_jobs_verify(struct mo_jobs *jobs, struct mo_verification *verification)
                            verification->rows, verification->limit, &verification->is_last);
   const size_t n = read > 0 ? shorten(verification, (size_t)read) : 0;
   const int error = read < 0 ? (int)read : compute(jobs, verification, n);
+  for (size_t i = 0; i < verification->limit; i++)
+    mo_environments_drop(verification->rows[i].environments, MO_BLOCK_LANES);
   for (size_t i = 0; i < n && error == MO_OK; i++)
     if (verification->rows[i].differs || verification->rows[i].measures_differ)
       verification->rows[verification->n++] = verification->rows[i];

@@ -233,12 +233,13 @@ static int read_worlds(struct codec *codec, size_t size, struct mo_training *tra
   int r = mo_training_allocate_environments(training, worlds.n);
   if (r < 0)
     return mo_fail(message, r, "the training does not fit in memory");
-  const size_t bytes = mo_training_environments_bytes(training, worlds.version);
-  if (bytes > size - SUM_BYTES - codec->at)
-    return damaged(message, what);
-  r = mo_training_environments_unpack(training, worlds.version, codec->from + codec->at);
+  size_t bytes = 0;
+  r = mo_training_environments_unpack(training, worlds.version, codec->from + codec->at,
+                                      size - SUM_BYTES - codec->at, &bytes);
   codec->at += bytes;
   training->draws_worlds = worlds.draws_worlds == 1;
+  if (r == MO_ERR_NO_MEMORY)
+    return mo_fail(message, r, "the training does not fit in memory");
   return r == MO_OK ? MO_OK : damaged(message, what);
 }
 

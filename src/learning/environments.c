@@ -12,7 +12,7 @@ int mo_training_allocate_environments(struct mo_training *training, uint32_t n)
   struct mo_environment *environments = calloc(n, sizeof(*environments));
   if (environments == NULL)
     return MO_ERR_NO_MEMORY;
-  free(training->environments);
+  mo_environments_free(training->environments, training->n_environments);
   training->environments = environments;
   training->n_environments = n;
   return MO_OK;
@@ -26,10 +26,11 @@ static int set(struct mo_training *training, const struct mo_environment *enviro
   if (training->step > 0 || training->lattice != NULL) /* the first draw makes the lattice */
     return MO_ERR_CONFLICT;
   const int r = mo_training_allocate_environments(training, n);
-  if (r == MO_OK)
+  if (r == MO_OK) {
     memcpy(training->environments, environments, n * sizeof(*environments));
-  if (r == MO_OK)
+    mo_environments_hold(training->environments, n);
     training->draws_worlds = draws_worlds;
+  }
   return r;
 }
 
@@ -81,27 +82,34 @@ unsigned mo_training_environments_version(const struct mo_training *training)
 
 size_t mo_training_environments_bytes(const struct mo_training *training, unsigned version)
 {
-  return training->n_environments * mo_fields_packed_bytes(&mo_environment_fields, version);
+  size_t size = 0;
+  for (uint32_t k = 0; k < training->n_environments; k++)
+    size += mo_environment_packed_bytes(&training->environments[k], version);
+  return size;
 }
 
 void mo_training_environments_pack(const struct mo_training *training, unsigned version,
                                    uint8_t *bytes)
 {
-  const size_t size = mo_fields_packed_bytes(&mo_environment_fields, version);
-  for (uint32_t k = 0; k < training->n_environments; k++)
-    mo_fields_pack(&mo_environment_fields, version, &training->environments[k], bytes + k * size);
+  for (uint32_t k = 0; k < training->n_environments; k++) {
+    mo_environment_pack(&training->environments[k], version, bytes);
+    bytes += mo_environment_packed_bytes(&training->environments[k], version);
+  }
 }
 
 int mo_training_environments_unpack(struct mo_training *training, unsigned version,
-                                    const uint8_t *bytes)
+                                    const uint8_t *bytes, size_t size, size_t *used)
 {
-  const size_t size = mo_fields_packed_bytes(&mo_environment_fields, version);
+  *used = 0;
   for (uint32_t k = 0; k < training->n_environments; k++) {
     struct mo_environment *environment = &training->environments[k];
-    *environment = mo_environment_defaults;
-    if (!mo_fields_unpack(&mo_environment_fields, version, bytes + k * size, environment) ||
-        mo_environment_check(environment, NULL) != MO_OK)
+    size_t own = 0;
+    const int r = mo_environment_unpack(version, bytes + *used, size - *used, environment, &own);
+    if (r != MO_OK)
+      return r;
+    if (mo_environment_check(environment, NULL) != MO_OK)
       return MO_ERR_FORMAT;
+    *used += own;
   }
   return mo_training_environments_version(training) == version ? MO_OK : MO_ERR_FORMAT;
 }

@@ -78,14 +78,15 @@ int mo_training_allocate_environments(struct mo_training *training, uint32_t n);
 /* Gives a drawn environment another's task, and its light if the task moves the light. */
 void mo_training_give_task(const struct mo_environment *tasked, struct mo_environment *environment);
 /* A training's own environments as bytes: in their packed form, all in the first version that has
- * all their fields. Each takes at most sizeof(struct mo_environment) bytes. */
+ * all their fields. */
 unsigned mo_training_environments_version(const struct mo_training *training);
 size_t mo_training_environments_bytes(const struct mo_training *training, unsigned version);
 void mo_training_environments_pack(const struct mo_training *training, unsigned version,
                                    uint8_t *bytes);
-/* Fills in the allocated environments. MO_ERR_FORMAT: a value, or the version, is invalid. */
+/* Fills in the allocated environments from the first *used of `size` bytes. MO_ERR_FORMAT: a value,
+ * or the version, is invalid, or there are too few bytes; MO_ERR_NO_MEMORY. */
 int mo_training_environments_unpack(struct mo_training *training, unsigned version,
-                                    const uint8_t *bytes);
+                                    const uint8_t *bytes, size_t size, size_t *used);
 
 /* checkpoint.c: CRC-64/XZ: detects every error within 64 bits in a row, and all but 1 in 2^64
  * others. */

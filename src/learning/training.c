@@ -114,7 +114,7 @@ void mo_training_free(struct mo_training *training)
   free(training->adam.first);
   free(training->adam.second);
   free(training->designs);
-  free(training->environments);
+  mo_environments_free(training->environments, training->n_environments);
   free(training);
 }
 

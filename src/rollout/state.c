@@ -56,17 +56,19 @@ void mo_state_free(struct mo_state *state)
 static void hash(const struct mo_fields *fields, unsigned version, const void *settings,
                  uint8_t bytes[MO_STATE_KEY_BYTES])
 {
-  uint8_t packed[sizeof(struct mo_environment) + sizeof(struct mo_physics)];
+  uint8_t packed[sizeof(struct mo_physics)];
   struct mo_sha256 of;
   mo_fields_pack(fields, version, settings, packed);
   mo_sha256_of(packed, mo_fields_packed_bytes(fields, version), &of);
   memcpy(bytes, of.bytes, MO_STATE_KEY_BYTES);
 }
 
-static void hash_environment(struct mo_environment *environment, uint8_t bytes[MO_STATE_KEY_BYTES])
+static void hash_environment(const struct mo_environment *environment,
+                             uint8_t bytes[MO_STATE_KEY_BYTES])
 {
-  mo_fields_clear_minus(&mo_environment_fields, environment);
-  hash(&mo_environment_fields, mo_environment_version(environment), environment, bytes);
+  struct mo_sha256 of;
+  mo_environment_digest(environment, &of);
+  memcpy(bytes, of.bytes, MO_STATE_KEY_BYTES);
 }
 
 static void hash_task(const struct mo_environment *environment, uint8_t bytes[MO_STATE_KEY_BYTES])
@@ -85,6 +87,7 @@ void mo_window_identify(const struct mo_environment *environment, const struct m
          sizeof(terrain.terrain_heights_m));
   terrain.n_profile = environment->n_profile;
   terrain.profile_spacing_m = environment->profile_spacing_m;
+  terrain.grid = environment->grid;
   lasting.scheme.n_steps = 1;
   lasting.drop_height_m = 0;
   mo_fields_clear_minus(&mo_physics_fields, &lasting);

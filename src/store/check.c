@@ -30,7 +30,9 @@ static int check_genotype(sqlite3_stmt *row)
 static int check_environment(sqlite3_stmt *row)
 {
   struct mo_environment environment;
-  return mo_column_environment(row, 1, 2, &environment);
+  const int error = mo_column_environment(row, 1, 2, &environment);
+  mo_environments_drop(&environment, 1);
+  return error;
 }
 
 static int check_physics(sqlite3_stmt *row)

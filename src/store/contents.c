@@ -25,9 +25,13 @@ int mo_environment_row(struct mo_connection *writer, const struct mo_environment
 {
   static const char find_sql[] = "SELECT id FROM environments WHERE sha256=?1";
   static const char insert_sql[] = "INSERT INTO environments(sha256,data) VALUES(?1,?2)";
-  uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX];
+  uint8_t *bytes = malloc(mo_encoded_environment_bytes(environment));
+  if (bytes == NULL)
+    return MO_ERR_NO_MEMORY;
   const size_t size = mo_encode_environment(environment, bytes);
-  return content_row(writer, find_sql, insert_sql, bytes, size, row);
+  const int error = content_row(writer, find_sql, insert_sql, bytes, size, row);
+  free(bytes);
+  return error;
 }
 
 int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physics,

@@ -6,28 +6,36 @@
 #include "rollout/physics.h"
 #include "world/environment.h"
 
-size_t mo_encode_environment(const struct mo_environment *environment,
-                             uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX])
+size_t mo_encoded_environment_bytes(const struct mo_environment *environment)
 {
-  const unsigned version = mo_environment_version(environment);
+  return mo_environment_packed_bytes(environment, mo_environment_version(environment));
+}
+
+size_t mo_encode_environment(const struct mo_environment *environment, uint8_t *bytes)
+{
   struct mo_environment encoded = *environment;
   mo_fields_clear_minus(&mo_environment_fields, &encoded);
-  mo_fields_pack(&mo_environment_fields, version, &encoded, bytes);
-  return mo_fields_packed_bytes(&mo_environment_fields, version);
+  mo_environment_pack(&encoded, mo_environment_version(environment), bytes);
+  return mo_encoded_environment_bytes(environment);
 }
 
 int mo_decode_environment(const uint8_t *bytes, size_t size, struct mo_environment *environment)
 {
   unsigned version = 1;
-  while (mo_fields_packed_bytes(&mo_environment_fields, version) < size && version < UINT8_MAX)
+  size_t used = 0;
+  while (version < MO_ENVIRONMENT_GRID_VERSION &&
+         mo_fields_packed_bytes(&mo_environment_fields, version) < size)
     version++;
   *environment = mo_environment_defaults;
-  return bytes != NULL && mo_fields_packed_bytes(&mo_environment_fields, version) == size &&
-                 mo_fields_unpack(&mo_environment_fields, version, bytes, environment) &&
-                 mo_environment_version(environment) == version &&
-                 mo_environment_check(environment, NULL) == MO_OK
-             ? MO_OK
-             : MO_ERR_CORRUPT;
+  if (bytes == NULL)
+    return MO_ERR_CORRUPT;
+  int error = mo_environment_unpack(version, bytes, size, environment, &used);
+  if (error == MO_OK && (used != size || mo_environment_version(environment) != version ||
+                         mo_environment_check(environment, NULL) != MO_OK))
+    error = MO_ERR_FORMAT;
+  if (error != MO_OK)
+    mo_environments_drop(environment, 1);
+  return error == MO_OK || error == MO_ERR_NO_MEMORY ? error : MO_ERR_CORRUPT;
 }
 
 #define TAIL_BYTES (2 * sizeof(uint32_t)) /* precision, sensor */

@@ -8,16 +8,18 @@
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "rows are little-endian");
 
-#define MO_ENVIRONMENT_BYTES_MAX sizeof(struct mo_environment)
-#define MO_PHYSICS_BYTES_MAX     (1 + sizeof(struct mo_physics) + 2 * sizeof(uint32_t))
-#define MO_BITS_BYTES            18
+#define MO_ENVIRONMENT_BYTES_MAX sizeof(struct mo_environment) /* without a grid of another size   \
+                                                                */
+#define MO_PHYSICS_BYTES_MAX (1 + sizeof(struct mo_physics) + 2 * sizeof(uint32_t))
+#define MO_BITS_BYTES        18
 
 /* Returns the number of bytes written: the packed form (world/environment.h), which has a different
  * size in each version. Writes −0 as 0, so that equal environments have one row and are computed
- * once. */
-size_t mo_encode_environment(const struct mo_environment *environment,
-                             uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX]);
-/* MO_ERR_CORRUPT: invalid encoding. */
+ * once. bytes: mo_encoded_environment_bytes. */
+size_t mo_encode_environment(const struct mo_environment *environment, uint8_t *bytes);
+size_t mo_encoded_environment_bytes(const struct mo_environment *environment);
+/* The caller drops the environment's grid (mo_environments_drop); after an error there is none.
+ * MO_ERR_CORRUPT: invalid encoding; MO_ERR_NO_MEMORY. */
 int mo_decode_environment(const uint8_t *bytes, size_t size, struct mo_environment *environment);
 
 /* Returns the number of bytes written: the version of the packed form (rollout/physics.h) in a

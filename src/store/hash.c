@@ -2,6 +2,7 @@
 #include "store/hash.h"
 
 #include "store/encode.h"
+#include "world/environment.h"
 
 void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precision,
                      enum mo_sensor sensor, struct mo_sha256 *hash)
@@ -12,6 +13,5 @@ void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precisi
 
 void mo_environment_hash(const struct mo_environment *environment, struct mo_sha256 *hash)
 {
-  uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX];
-  mo_sha256_of(bytes, mo_encode_environment(environment, bytes), hash);
+  mo_environment_digest(environment, hash);
 }

@@ -173,16 +173,22 @@ static int insert_environments(struct mo_import *import,
   static const char sql[] = "UPDATE campaigns SET environment_set=?2 WHERE job=?1";
   struct mo_connection *writer = &import->store->writer;
   const struct mo_campaign_record *record = &campaign->record;
-  struct mo_environment known[MO_ENVIRONMENTS_MAX];
+  struct mo_environment known[MO_ENVIRONMENTS_MAX] = {{.grid = NULL}};
+  bool differ = false;
   int error = group == import->id ? mo_environments_insert(writer, group, 0, campaign->environments,
                                                            record->n_environments)
                                   : MO_OK;
   if (error == MO_OK)
     error =
         mo_environments_read(writer, group, record->n_environments, known, import->environments);
-  if (error == MO_ERR_CORRUPT ||
-      (error == MO_OK &&
-       memcmp(known, campaign->environments, record->n_environments * sizeof(*known)) != 0))
+  for (uint32_t k = 0; k < record->n_environments && error == MO_OK && !differ; k++) {
+    struct mo_sha256 hashes[2];
+    mo_environment_hash(&known[k], &hashes[0]);
+    mo_environment_hash(&campaign->environments[k], &hashes[1]);
+    differ = !mo_sha256_equal(&hashes[0], &hashes[1]);
+  }
+  mo_environments_drop(known, MO_ENVIRONMENTS_MAX);
+  if (error == MO_ERR_CORRUPT || differ)
     return MO_ERR_INVALID; /* replicates with other environments */
   import->n_environments = record->n_environments;
   if (error == MO_OK)

@@ -34,7 +34,7 @@ struct mo_origin_row {
   char fingerprint[MO_FINGERPRINT_BYTES];
   int64_t computed_us;
   uint32_t n;
-  struct mo_environment environments[MO_BLOCK_LANES];
+  struct mo_environment environments[MO_BLOCK_LANES]; /* the reader of the row drops their grids */
   struct mo_sha256 environment_sha256[MO_BLOCK_LANES];
   bool has_losses, has_measures; /* which of them the origin computed; the others are not set */
   uint32_t n_measures;           /* how many are stored of each rollout: the first ones */

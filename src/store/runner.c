@@ -384,7 +384,7 @@ void mo_work_free(struct mo_work *work)
   if (work == NULL)
     return;
   free(work->environment_rows);
-  free(work->environments);
+  mo_environments_free(work->environments, (size_t)work->n_sets * work->n_environments);
   free(work->genotype_rows);
   free(work->positions);
   free(work->genotypes);

@@ -35,6 +35,7 @@ void mo_score_block_clear(struct mo_score_block *block)
 {
   free(block->weights);
   mo_controller_free(block->controller);
+  mo_environments_drop(block->environments, block->n_environments);
   block->weights = NULL;
   block->controller = NULL;
   block->n_conditions = block->n_environments = block->n_designs = block->n_scores = 0;

@@ -300,11 +300,16 @@ int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
   const void *bytes = sqlite3_column_blob(statement, data);
   const size_t size = (size_t)sqlite3_column_bytes(statement, data);
   struct mo_sha256 hash, found;
-  if (mo_decode_environment(bytes, size, environment) != MO_OK ||
-      mo_column_hash(statement, sha256, &hash) != MO_OK)
-    return MO_ERR_CORRUPT;
-  mo_sha256_of(bytes, size, &found);
-  return mo_sha256_equal(&hash, &found) ? MO_OK : MO_ERR_CORRUPT;
+  int error = mo_decode_environment(bytes, size, environment);
+  if (error == MO_OK)
+    error = mo_column_hash(statement, sha256, &hash);
+  if (error == MO_OK) {
+    mo_sha256_of(bytes, size, &found);
+    error = mo_sha256_equal(&hash, &found) ? MO_OK : MO_ERR_CORRUPT;
+  }
+  if (error != MO_OK)
+    mo_environments_drop(environment, 1);
+  return error == MO_OK || error == MO_ERR_NO_MEMORY ? error : MO_ERR_CORRUPT;
 }
 
 int mo_environment_get(struct mo_connection *connection, int64_t id,

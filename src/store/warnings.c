@@ -170,6 +170,7 @@ static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, 
     struct mo_environment environment;
     error = mo_decode_environment(sqlite3_column_blob(row, 0), (size_t)sqlite3_column_bytes(row, 0),
                                   &environment);
+    mo_environments_drop(&environment, 1);
     if (error != MO_OK || !mo_guide_has_light(&environment.task.guide))
       continue;
     const double *light_m = environment.light_xy_m;

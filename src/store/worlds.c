@@ -43,7 +43,7 @@ static int read_all(struct mo_store *store, const char *sql, struct mo_values va
   if (error == MO_OK && n == 0)
     error = MO_ERR_NOT_FOUND;
   if (error != MO_OK) {
-    free(all);
+    mo_environments_free(all, n);
     return error;
   }
   *environments = all;

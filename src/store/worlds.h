@@ -7,14 +7,16 @@
 
 struct mo_store;
 
-/* MO_ERR_NOT_FOUND: nothing with this hash is stored. */
+/* The caller drops the environment's grid (mo_environments_drop). MO_ERR_NOT_FOUND: nothing with
+ * this hash is stored. */
 int mo_store_environment(struct mo_store *store, const struct mo_sha256 *sha256,
                          struct mo_environment *environment);
 int mo_store_physics(struct mo_store *store, const struct mo_sha256 *sha256,
                      struct mo_physics *physics, enum mo_precision *precision,
                      enum mo_sensor *sensor);
-/* Reads the environments of a named set, or of a job, in order. *environments:
- * (n) malloc, owned by the caller. MO_ERR_NOT_FOUND: also a training that draws its environments.
+/* Reads the environments of a named set, or of a job, in order. *environments: (n), which the
+ * caller frees with mo_environments_free. MO_ERR_NOT_FOUND: also a training that draws its
+ * environments.
  */
 int mo_store_environment_set(struct mo_store *store, const char *name,
                              struct mo_environment **environments, uint32_t *n);

@@ -7,6 +7,7 @@
 #include <morpho/world.h>
 
 #include "base/fields.h"
+#include "base/sha256.h"
 
 /* Where the light stands and the terrain: numbers and arrays of numbers. Requests, replies and
  * scenes use these rows. */
@@ -16,16 +17,32 @@ enum { MO_PLACE_LIGHT, MO_PLACE_HEIGHTS }; /* its first rows */
  * grid if its terrain is a profile. Those have members of their own in JSON (task_json.h). */
 bool mo_place_has(const struct mo_environment *environment, size_t row);
 
-/* The whole environment, for hashed encodings and the messages of workers: its packed form
- * (base/fields.h) has 66 float64, from version 2 on the task, from version 3 on the shape of the
- * terrain, from version 4 on the damage, and from version 5 on the terms of a sum. task_json.h: in
- * JSON. */
+/* The whole environment but for a grid of another size. task_json.h: in JSON. */
 extern const struct mo_fields mo_environment_fields;
 /* The value that a newly added field has where it is not given. */
 extern const struct mo_environment mo_environment_defaults;
 
-unsigned mo_environment_version(const struct mo_environment *environment); /* size of its packed
-                                                                            * form */
+/* The packed form, for hashed encodings, checkpoints and the messages of workers. It is that of the
+ * fields (base/fields.h): 66 float64, from version 2 on the task, from version 3 on the shape of
+ * the terrain, from version 4 on the damage, and from version 5 on the terms of a sum. In version
+ * 6, 16 bytes follow, columns and rows of the grid (uint32_t) and its spacing (double), which are 0
+ * without a grid of another size, and then its heights (double). */
+#define MO_ENVIRONMENT_GRID_VERSION 6
+/* No more bytes than this precede the heights of a grid. */
+#define MO_ENVIRONMENT_HEAD_BYTES (sizeof(struct mo_environment) + 16)
+
+/* Returns the first version that has everything that an environment has. */
+unsigned mo_environment_version(const struct mo_environment *environment);
+size_t mo_environment_packed_bytes(const struct mo_environment *environment, unsigned version);
+void mo_environment_pack(const struct mo_environment *environment, unsigned version,
+                         uint8_t *bytes);
+/* Reads one environment from the start of `bytes`; *used: its bytes, or 0 if it is cut off. The
+ * caller drops its grid (mo_environments_drop); after an error there is none. Checks words and the
+ * grid only. MO_ERR_FORMAT, MO_ERR_NO_MEMORY. */
+int mo_environment_unpack(unsigned version, const uint8_t *bytes, size_t size,
+                          struct mo_environment *environment, size_t *used);
+/* Computes the hash of the packed form in its own version, with −0 as 0. */
+void mo_environment_digest(const struct mo_environment *environment, struct mo_sha256 *hash);
 
 /* Returns the numbers of a row. */
 static inline const double *mo_environment_numbers(const struct mo_environment *environment,

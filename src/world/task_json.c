@@ -447,7 +447,7 @@ void mo_environment_write_members(struct mo_text *text, const struct mo_environm
 
 void mo_environment_write_tasks(struct mo_text *text, const struct mo_environment *environment)
 {
-  if (environment->n_profile != 0) {
+  if (environment->n_profile != 0 || environment->grid != NULL) {
     mo_text_name(text, "terrain");
     mo_terrain_write(text, environment);
   }

@@ -1,7 +1,8 @@
-/* terrain_json.h: terrains that are not given as heights of a grid, in JSON. docs/tasks.md
- * describes the members.
+/* terrain_json.h: terrains that are not given as the 8 × 8 heights of a grid, in JSON.
+ * docs/tasks.md describes the members.
  *
- * {"kind": "profile", "heights_m": […], "spacing_m": …}, or a family (<morpho/world.h>) with the
+ * {"kind": "profile", "heights_m": […], "spacing_m": …}, {"kind": "grid", "heights_m": [[…], …],
+ * "spacing_m": …}, or a family (<morpho/world.h>) with the
  * fields of its recipe, of which those that are left out have their defaults. */
 #ifndef MORPHO_WORLD_TERRAIN_JSON_H
 #define MORPHO_WORLD_TERRAIN_JSON_H
@@ -11,9 +12,10 @@
 #include "base/json.h"
 #include "base/text.h"
 
-/* Reads a terrain. An invalid one adds a fault and leaves the environment unchanged. */
+/* Reads a terrain. An invalid one adds a fault and leaves the environment unchanged, which must not
+ * have a grid. The caller drops the grid (mo_environments_drop). */
 void mo_terrain_read(struct mo_json *json, struct mo_environment *environment);
-/* Writes the terrain of an environment, a profile, as an object. */
+/* Writes the terrain of an environment, a profile or a grid of another size, as an object. */
 void mo_terrain_write(struct mo_text *text, const struct mo_environment *environment);
 
 #endif

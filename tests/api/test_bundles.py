@@ -14,6 +14,8 @@ HERE = [{"light_xy_m": [4.0, 3.0], "terrain_sigma_m": 0.05, "seed": 3}]
 TASKED = HERE + [{"task": task} for task in ("walk", "circle", "path", "pursue", "climb")]
 TASKED += [{"task": {"guide": {"kind": "ahead"}, "objective": objective}} for objective in (
     "efficient", "jump", {"travel": 1, "work_j": -1e-5})]
+TASKED += [{"task": "walk", "terrain": {"kind": "grid", "spacing_m": 0.3, "heights_m": [
+    [0.01 * (i * j % 5) for i in range(30)] for j in range(20)]}}]
 LISTS = ["generations", "population", "phylogeny?limit=1000", "learning", "environments",
          "champions"]
 

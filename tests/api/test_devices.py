@@ -145,7 +145,10 @@ def test_evaluations(start):
                    {**LARGE, "device": "cuda", "environments": [world]})["device"] == "cuda"
     for world, word in (({"task": {"objective": "jump"}, "light_xy_m": [4, 2.5]}, "jump"),
                         ({"task": {"guide": {"kind": "ahead"}, "objective": {"travel": 1}}},
-                         "weighted sums")):
+                         "weighted sums"),
+                        ({"task": "walk", "terrain": {"kind": "grid", "spacing_m": 1,
+                                                      "heights_m": [[0, 0], [0, 0]]}},
+                         'kind "grid"')):
         assert word in refused(service, "evaluations",
                                {**LARGE, "device": "cuda", "environments": [world]})
     for more in ({"record": ["com"]}, {"precision": "float64"}, {"priority": "interactive"}):

@@ -117,6 +117,60 @@ def test_profiles_go_with_tasks(service):
         assert z >= x / 2 - 1e-5
 
 
+def rows_of(columns, rows, step=0.01):
+    return [[round(step * ((3 * i + 5 * j) % 7), 6) for i in range(columns)] for j in range(rows)]
+
+
+def test_a_grid_is_what_was_sent(service):
+    """Rows and spacing come back; what is stored can be sent again, and is the same world."""
+    worlds = set()
+    for terrain in ({"kind": "grid", "heights_m": [[0.05, -1.5, 2], [1e-3, 0, 100]],
+                     "spacing_m": 1.73},
+                    {"kind": "grid", "heights_m": rows_of(128, 128), "spacing_m": 0.02},
+                    {"kind": "grid", "heights_m": rows_of(2, 40), "spacing_m": 2}):
+        world, loss = world_of(service, terrain)
+        assert world["terrain"] == terrain and "terrain_heights_m" not in world
+        assert service.get("/v1/environments/" + world["sha256"]) == world
+        sent = {name: value for name, value in world.items() if name != "sha256"}
+        again = evaluate(service, sent)
+        assert again["rollouts_cached"] == 1 and again["results"][0]["losses"] == [loss]
+        worlds.add(world["sha256"])
+    assert len(worlds) == 3
+
+
+def test_a_grid_of_the_usual_size_gives_the_usual_losses(service):
+    heights = rows_of(8, 8, 0.03)
+    grid = {"kind": "grid", "heights_m": heights, "spacing_m": 5 / 7}
+    job = evaluate(service, {**PLACE, "terrain": grid}, {**PLACE, "terrain_heights_m": heights})
+    first, second = job["results"][0]["losses"]
+    assert first == second
+    here, there = service.get(f"/v1/evaluations/{job['id']}/environments")["items"]
+    assert here["sha256"] != there["sha256"]
+
+
+def test_grids_go_with_tasks_and_scenes(service):
+    """A light that leads stands on the grid, rows are along y, and the middle is at the start."""
+    ramp = {"kind": "grid", "heights_m": [[0, 0, 0], [1, 1, 1]], "spacing_m": 2}
+    asked = {"designs": [DESIGN], "physics": SHORT, "record": ["com", "masses"],
+             "record_stride": 20, "environments": [{"task": "walk", "terrain": ramp}]}
+    header, array = scene(roll(service, asked))
+    assert header["environments"][0]["terrain"] == ramp
+    lights = array(header["rollouts"][0]["lights_m"])
+    for frame in range(6):
+        _, y, z = lights[3 * frame:3 * frame + 3]
+        assert z == pytest.approx((y - 1.5) / 2, abs=1e-5)
+
+
+def test_a_request_has_few_large_grids(service):
+    large = {**PLACE, "terrain": {"kind": "grid", "heights_m": [[0] * 128] * 128,
+                                  "spacing_m": 0.1}}
+    reply = service.request("POST", "/v1/evaluations",
+                            {"designs": [DESIGN], "environments": [large] * 17})
+    assert reply.status == 422
+    fault, = reply.json()["errors"]
+    assert fault["pointer"] == "/environments" and "at most 262144 heights" in fault["detail"]
+
+
 def test_tables_have_profiles(service):
     job = evaluate(service, {**PLACE, "terrain": {"kind": "profile", "heights_m": [1, 2],
                                                   "spacing_m": 0.5}},
@@ -139,6 +193,26 @@ REFUSED = [
     ({"kind": "profile", "heights_m": [0, None], "spacing_m": 0.1}, "/heights_m/1", "number"),
     ({"kind": "profile", "heights_m": [0, 1], "spacing_m": 0.01}, "/spacing_m", "at least 0.02"),
     ({"kind": "profile", "heights_m": [0, 1], "spacing_m": 1, "seed": 1}, "", "has no seed"),
+    ({"kind": "profile", "heights_m": [0, 1], "spacing_m": 1.5}, "/spacing_m", "from 0.02 to 1"),
+    ({"kind": "profile", "heights_m": [[0, 1], [0, 1]], "spacing_m": 1}, "/heights_m",
+     'for rows of heights, use "grid"'),
+    ({"kind": "grid", "heights_m": [0, 1], "spacing_m": 1}, "/heights_m", 'use "profile"'),
+    ({"kind": "grid", "heights_m": [[0, 1]], "spacing_m": 1}, "/heights_m",
+     "must have 2 to 128 rows, got 1"),
+    ({"kind": "grid", "heights_m": [[0, 1]] * 129, "spacing_m": 1}, "/heights_m", "got 129"),
+    ({"kind": "grid", "heights_m": [[0], [1]], "spacing_m": 1}, "/heights_m/0",
+     "must have 2 to 128 heights, got 1"),
+    ({"kind": "grid", "heights_m": [[0] * 129] * 2, "spacing_m": 1}, "/heights_m/0", "got 129"),
+    ({"kind": "grid", "heights_m": [[0, 1], [0, 1, 2]], "spacing_m": 1}, "/heights_m/1",
+     "as many heights as the first row, 2, got 3"),
+    ({"kind": "grid", "heights_m": [[0, 1], 3], "spacing_m": 1}, "/heights_m/1", "array"),
+    ({"kind": "grid", "heights_m": [[0, 1], [0, 101]], "spacing_m": 1}, "/heights_m/1/1",
+     "must be"),
+    ({"kind": "grid", "heights_m": [[0, 1], [0, 1]], "spacing_m": 2.5}, "/spacing_m", "at most 2"),
+    ({"kind": "grid", "heights_m": [[0, 1], [0, 1]]}, "", "spacing_m is missing"),
+    ({"kind": "grid", "spacing_m": 1}, "", "heights_m is missing"),
+    ({"kind": "grid", "heights_m": [[0, 1], [0, 1]], "spacing_m": 1, "seed": 1}, "",
+     "has no seed"),
     ({"kind": "hurdles"}, "", 'seed is missing; a terrain of kind "hurdles" needs it'),
     ({"kind": "slope", "seed": 1}, "", 'a terrain of kind "slope" has no seed; remove it'),
     ({"kind": "flat", "sigma_m": 0}, "", "has no sigma_m"),
@@ -179,7 +253,8 @@ def test_studies_name_a_terrain_that_differs(service):
              "label": "a study on a slope"}
     service.post("/v1/campaigns", study)
     for terrain, below in (({"kind": "slope", "degrees": 9}, "/heights_m/29"),
-                           ({"kind": "slope", "spacing_m": 0.2}, ""), ({"kind": "flat"}, "")):
+                           ({"kind": "slope", "spacing_m": 0.2}, ""), ({"kind": "flat"}, ""),
+                           ({"kind": "grid", "heights_m": [[0, 0], [0, 1]], "spacing_m": 1}, "")):
         other = study | {"environments": [{**PLACE, "terrain": terrain}], "if_exists": "return"}
         reply = service.request("POST", "/v1/campaigns", other)
         assert "/environments/0/terrain" + below in reply.pointers(), reply.json()

@@ -104,8 +104,8 @@ export async function toPage(robots, title, isRace = false) {
   const worlds = [...new Set(robots.map((robot) => robot.world))];
   const data = {
     isRace,
-    worlds: worlds.map(({ light, points, heights, spacing, task }) => ({
-      light: [...light], points, heights: [...heights], spacing, task,
+    worlds: worlds.map(({ light, points, heights, spacing, columns, task }) => ({
+      light: [...light], points, heights: [...heights], spacing, columns, task,
     })),
     robots: robots.map(({
       genotype, label, loss, value, unit, driven, frames, frameS, color, track, lights, world,

@@ -27,8 +27,12 @@ export function toScene(robots, inputs) {
   };
   const [{ world, frameS }] = robots;
   const heights = Float32Array.from(world.heights);
-  const ground = world.spacing
-    ? { terrain: { kind: 'profile', heights_m: [...heights], spacing_m: world.spacing } }
+  const { spacing, columns } = world;
+  const rows = Array.from({ length: columns ? heights.length / columns : 0 },
+    (_, row) => [...heights.subarray(row * columns, (row + 1) * columns)]);
+  const ground = spacing
+    ? { terrain: { kind: columns ? 'grid' : 'profile',
+      heights_m: columns ? rows : [...heights], spacing_m: spacing } }
     : { terrain_heights_m: put(heights, [8, 8]) };
   const header = {
     ...inputs, warnings: [], frame_s: frameS, driven: true, environments: [ground],

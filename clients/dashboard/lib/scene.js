@@ -64,8 +64,9 @@ export function robotsOf({ header, array }) {
         light: environment.light_xy_m ?? [...lights.subarray(0, 2)],
         points: environment.task?.guide.points_m,
         task: environment.task,
-        heights: environment.terrain?.heights_m ?? array(environment.terrain_heights_m),
+        heights: environment.terrain?.heights_m.flat() ?? array(environment.terrain_heights_m),
         spacing: environment.terrain?.spacing_m,
+        columns: environment.terrain?.heights_m[0].length,
         key: environment.sha256,
       },
     };

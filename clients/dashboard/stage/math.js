@@ -98,20 +98,39 @@ export function normalize(a) {
 }
 
 /**
+ * Returns how the heights of a world lie, as uniforms: 8 × 8 over 5 m × 5 m; with a spacing, a
+ * profile along x from x = 0 on; with columns as well, a grid around the start.
+ * @param {{heights: ArrayLike<number>, spacing?: number, columns?: number}} world
+ */
+export function groundOf({ heights, spacing, columns }) {
+  const isProfile = Boolean(spacing && !columns);
+  const sides = columns ? [columns, heights.length / columns]
+    : isProfile ? [heights.length, 1] : [8, 8];
+  const step = spacing || 5 / 7;
+  const sizes = sides.map((n) => (n - 1) * step);
+  // What is drawn in full: at most 8 m, and at least the usual 5 m.
+  const [width, depth] = sizes.map((size) => Math.min(8, Math.max(5, size)));
+  return {
+    columns: sides[0], rows: sides[1], spacing: step, isProfile, isGrid: Boolean(columns),
+    origin: columns ? sizes.map((size) => 2.5 - size / 2) : [0, 0],
+    middle: [isProfile ? width / 2 : 2.5, 2.5],
+    reach: [width / 2, depth / 2],
+  };
+}
+
+/**
  * Returns the height of a world's terrain at (x, y), as the daemon computes it: bilinear, clamped
  * at the edge.
- * @param {{heights: ArrayLike<number>, spacing?: number}} world
+ * @param {{heights: ArrayLike<number>, spacing?: number, columns?: number}} world
  */
-export function heightAt({ heights, spacing }, x, y) {
-  if (spacing) {
-    const along = Math.min(heights.length - 1, Math.max(0, x / spacing));
-    const from = Math.min(heights.length - 2, Math.floor(along));
-    return heights[from] + (along - from) * (heights[from + 1] - heights[from]);
-  }
-  const [cx, cy] = [x, y].map((v) => Math.min(7, Math.max(0, v * 1.4)));
-  const [i, j] = [cx, cy].map((v) => Math.min(6, Math.floor(v)));
+export function heightAt(world, x, y) {
+  const { columns, rows, spacing, origin } = groundOf(world);
+  const last = [columns - 1, rows - 1];
+  const [cx, cy] = [x, y].map((v, k) => (
+    Math.min(last[k], Math.max(0, (v - origin[k]) / spacing))));
+  const [i, j] = [cx, cy].map((v, k) => Math.max(0, Math.min(last[k] - 1, Math.floor(v))));
   const [fx, fy] = [cx - i, cy - j];
-  const at = (a, b) => heights[(j + b) * 8 + i + a];
+  const at = (a, b) => world.heights[Math.min(j + b, last[1]) * columns + i + a];
   return (1 - fy) * ((1 - fx) * at(0, 0) + fx * at(1, 0)) +
     fy * ((1 - fx) * at(0, 1) + fx * at(1, 1));
 }

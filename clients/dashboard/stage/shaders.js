@@ -22,26 +22,22 @@ vec3 massAt(uint mass) {
 }
 `;
 
-/** Height of the terrain: 8 × 8 heights over 5 m × 5 m, bilinear, clamped at the edge; or, with a
- * spacing, heights of a profile along x. */
+/** Height of the terrain: bilinear between heights that are `spacing` apart, the first of them at
+ * `origin`, and clamped at the edge. A profile along x has one row. */
 const TERRAIN = `
 uniform highp sampler2D heights;
 uniform float spacing;
+uniform vec2 origin;
 float heightAt(vec2 at) {
-  if (spacing > 0.0) {
-    int last = textureSize(heights, 0).x - 1;
-    float along = clamp(at.x / spacing, 0.0, float(last));
-    int from = min(int(along), last - 1);
-    return mix(texelFetch(heights, ivec2(from, 0), 0).r,
-               texelFetch(heights, ivec2(from + 1, 0), 0).r, along - float(from));
-  }
-  vec2 cell = clamp(at * 1.4, 0.0, 7.0);
-  ivec2 low = min(ivec2(cell), 6);
+  ivec2 last = textureSize(heights, 0) - 1;
+  vec2 cell = clamp((at - origin) / spacing, vec2(0.0), vec2(last));
+  ivec2 low = max(min(ivec2(cell), last - 1), 0);
+  ivec2 high = min(low + 1, last);
   vec2 f = cell - vec2(low);
   float h00 = texelFetch(heights, low, 0).r;
-  float h10 = texelFetch(heights, low + ivec2(1, 0), 0).r;
-  float h01 = texelFetch(heights, low + ivec2(0, 1), 0).r;
-  float h11 = texelFetch(heights, low + ivec2(1, 1), 0).r;
+  float h10 = texelFetch(heights, ivec2(high.x, low.y), 0).r;
+  float h01 = texelFetch(heights, ivec2(low.x, high.y), 0).r;
+  float h11 = texelFetch(heights, high, 0).r;
   return mix(mix(h00, h10, f.x), mix(h01, h11, f.x), f.y);
 }
 `;
@@ -92,6 +88,8 @@ layout(location = 0) in vec2 corner;
 uniform mat4 matrix;
 uniform vec4 course; // of a race: start and direction
 uniform vec4 lane; // ranges along and across, or 0: the whole map
+uniform bool isProfile;
+uniform bool isGrid;
 out vec3 at;
 out vec2 slope;
 out vec2 way;
@@ -104,9 +102,12 @@ void main() {
     way = mix(lane.xz, lane.yw, corner * 0.5 + 0.5);
     p = course.xy + way.x * course.zw + way.y * vec2(course.w, -course.z);
   }
-  // Edges of a profile are sharp where the mesh is finer than its heights.
-  float edge = spacing > 0.0 ? round(p.x / spacing) * spacing : p.x;
-  if (abs(edge - p.x) < 0.05 && (!isLane || abs(course.z) > 0.99)) p.x = edge;
+  // Edges of a profile, or of a grid of another size than 8 × 8, are sharp where the mesh is finer
+  // than its heights.
+  vec2 edge = origin + round((p - origin) / spacing) * spacing;
+  bool isAligned = !isLane || abs(course.z) > 0.99;
+  if (isAligned && (isProfile || isGrid) && abs(edge.x - p.x) < 0.05) p.x = edge.x;
+  if (isAligned && isGrid && abs(edge.y - p.y) < 0.05) p.y = edge.y;
   at = vec3(p, heightAt(p));
   // The slope of the bilinear patch, not of the mesh; here, not for each pixel, because most of the
   // time without a graphics processor would go there.
@@ -123,8 +124,8 @@ uniform vec4 lane;
 uniform float goal; // of a race: distance of its finish, or 0
 uniform float marks; // distance of lines across its lanes, or 0
 uniform vec3 tint;
-uniform float spacing;
-uniform float alongM; // length of a profile
+uniform vec2 middle; // of the ground that is drawn in full, and half of its sides
+uniform vec2 reach;
 uniform vec3 ground;
 uniform vec3 line;
 out vec4 color;
@@ -149,9 +150,7 @@ void main() {
   float halo = smoothstep(0.012, 0.0, abs(ring - 0.12)) * 0.5;
   lit += glow * (halo + 0.35 * exp(-ring * ring * 9.0));
   // Beyond the map the ground fades into the background.
-  float along = spacing > 0.0 ? clamp(alongM, 5.0, 8.0) : 5.0;
-  vec2 middle = vec2(along * 0.5, 2.5);
-  vec2 beyond = max(abs(at.xy - middle) - (middle - 0.15), 0.0);
+  vec2 beyond = max(abs(at.xy - middle) - (reach - 0.15), 0.0);
   float fade = smoothstep(0.0, 1.3, length(beyond));
   fade = max(fade, smoothstep(7.0, 13.0, distance(at, eye)));
   if (lane.y > lane.x) {

@@ -9,7 +9,7 @@ import { Camera } from './camera.js';
 import { Program, dataTexture, isSoftware, shadowTarget, vertexArray } from './gl.js';
 import { frameLanes, lampOf, lanesIn, lanesOf } from './lanes.js';
 import {
-  heightAt, lookAt, multiply, normalize, orthographic, project, translated, unproject,
+  groundOf, heightAt, lookAt, multiply, normalize, orthographic, project, translated, unproject,
 } from './math.js';
 import { centerOfMass, release, upload } from './robot.js';
 import * as shaders from './shaders.js';
@@ -98,10 +98,10 @@ function groundMesh(gl, cells, rows = cells) {
  * @property {number} frameS seconds per frame
  * @property {Float32Array|number[]} [lights] (frames, 3) of a light that a task moves
  * @property {{light: number[], points?: number[][], heights: Float32Array|number[],
- *   spacing?: number, key?: string, sunFrom?: number[], task?: any}} world light (x, y) in meters,
- *   at the start if it moves; way-points of a path; a task other than `photo`; the terrain: 64
- *   heights of a grid, or, with their spacing in meters, of a profile; sunFrom: where the sun is in
- *   place of the light
+ *   spacing?: number, columns?: number, key?: string, sunFrom?: number[], task?: any}} world light
+ *   (x, y) in meters, at the start if it moves; way-points of a path; a task other than `photo`; the
+ *   terrain: 64 heights of a grid, or, with their spacing in meters, of a profile, or of a grid with
+ *   these columns; sunFrom: where the sun is in place of the light
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
  * @property {Uint8Array} [contacts] (frames, masses), 1 if a mass touches the ground
  * @property {string} [color] as in the legend
@@ -249,7 +249,7 @@ export class Stage {
     const key = world.key ?? world;
     if (!this.terrains.has(key)) {
       const { gl } = this;
-      const [columns, rows] = world.spacing ? [world.heights.length, 1] : [8, 8];
+      const { columns, rows } = groundOf(world);
       this.terrains.set(key, dataTexture(gl, gl.R32F, columns, rows, gl.RED, gl.FLOAT,
         Float32Array.from(world.heights)));
     }
@@ -377,7 +377,7 @@ export class Stage {
       return {
         ...common, matrix: translated(matrix, shift), sunMatrix: translated(sunMatrix, shift),
         eye: eye.map((value, axis) => value - shift[axis]), heights: this.#heights(world),
-        spacing: world.spacing ?? 0, alongM: (world.spacing ?? 0) * (world.heights.length - 1),
+        ...groundOf(world),
         lightAt: this.#lightOf(robot, world), tint: robot?.gpu.tint ?? NO_SHIFT,
       };
     };

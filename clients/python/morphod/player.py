@@ -101,7 +101,10 @@ def _first_light(scene: Scene, environment: int) -> list[float]:
 
 def _terrain(world: dict[str, Any]) -> dict[str, Any]:
     if "terrain" in world:
-        return {"heights": world["terrain"]["heights_m"], "spacing": world["terrain"]["spacing_m"]}
+        heights = np.asarray(world["terrain"]["heights_m"])
+        columns = {"columns": heights.shape[1]} if heights.ndim == 2 else {}
+        return {"heights": heights.ravel().tolist(), "spacing": world["terrain"]["spacing_m"],
+                **columns}
     return {"heights": np.ravel(world["terrain_heights_m"]).tolist()}
 
 

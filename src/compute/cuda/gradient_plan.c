@@ -315,7 +315,8 @@ static void form_shards(void *context, size_t first, size_t end)
     s->end = s->n;
     for (uint32_t i = 0; i < s->n; i++) {
       const struct mo_environment *environment = s->robots[s->first + i].environment;
-      if (s->status == MO_OK && !mo_task_suits_devices(&environment->task))
+      if (s->status == MO_OK &&
+          (environment->grid != NULL || !mo_task_suits_devices(&environment->task)))
         s->status = MO_ERR_UNSUPPORTED;
       s->is_special |= mo_environment_is_special(environment);
       s->has_damage |= environment->damage.cut != 0;

@@ -266,7 +266,7 @@ static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *
   plan->n_bodies = bodies->n;
   plan->n_environments = environments->n;
   for (uint32_t e = 0; e < plan->n_environments; e++) {
-    if (!mo_task_suits_devices(&plan->environments[e]->task))
+    if (plan->environments[e]->grid != NULL || !mo_task_suits_devices(&plan->environments[e]->task))
       return MO_ERR_UNSUPPORTED;
     plan->is_special |= mo_environment_is_special(plan->environments[e]);
     plan->has_damage |= plan->environments[e]->damage.cut != 0;

@@ -1,6 +1,7 @@
 /* wire.c: messages are decoded exactly as they were encoded, and no other message is accepted. */
 #include "messages.h"
 #include "rollout/physics.h"
+#include "world/environment.h"
 
 #define HEADER 24
 #define LEASE  152
@@ -406,8 +407,51 @@ static void too_large(void)
   mo_wire_free_results(&results);
 }
 
+/* Environments with grids of other sizes, among others: the same after a round trip, cut anywhere,
+ * and with sizes that do not fit. */
+static void grids(void)
+{
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  struct message message = {true, workspace, NULL, 0};
+  struct mo_wire_leases sent = {.n = 1, .items = {lease_of(workspace, 0, 3, 2)}}, got;
+  struct mo_message why;
+  for (uint32_t e = 0; e < 3; e += 2) {
+    struct mo_environment *environment = &sent.items[0].environments[e];
+    memset(environment->terrain_heights_m, 0, sizeof(environment->terrain_heights_m));
+    environment->grid = make_grid(3 + 20 * e, 2 + 5 * e, 0.2, e, 0.1);
+    mo_terrain_grid_hold(environment->grid);
+  }
+  REQUIRE_OK(mo_wire_put_leases(&sent, workspace, &message.bytes, &message.size));
+  check_keep(message.bytes, free);
+  REQUIRE_OK(mo_wire_get_leases(message.bytes, message.size, workspace, &got, &why));
+  for (uint32_t e = 0; e < 3; e++) {
+    struct mo_sha256 hashes[2];
+    mo_environment_digest(&sent.items[0].environments[e], &hashes[0]);
+    mo_environment_digest(&got.items[0].environments[e], &hashes[1]);
+    CHECK(mo_sha256_equal(&hashes[0], &hashes[1]));
+    CHECK((got.items[0].environments[e].grid != NULL) == (e != 1));
+  }
+  mo_wire_free_leases(&got);
+  mo_wire_free_leases(&sent);
+  CHECK_OK(decode(&message, message.size, &why));
+  for (size_t size = 0; size < message.size; size += 1 + size / 9)
+    CHECK_INT(decode(&message, size, &why), MO_ERR_FORMAT);
+  uint8_t *columns = NULL; /* of the first grid: 3 and 2, 0.2 m */
+  const uint32_t sides[2] = {3, 2};
+  for (size_t at = 0; at + 16 < message.size && columns == NULL; at++)
+    if (memcmp(message.bytes + at, sides, sizeof(sides)) == 0)
+      columns = message.bytes + at;
+  REQUIRE(columns != NULL);
+  for (uint32_t n = 0; n < 256; n++)
+    if (n != 3) {
+      columns[0] = (uint8_t)n;
+      CHECK_INT(decode(&message, message.size, &why), MO_ERR_FORMAT);
+    }
+}
+
 static const struct check_case cases[] = {
     {"round trip", round_trip},
+    {"grids of other sizes", grids},
     {"cut short", cut_short},
     {"any bit flipped", bits_flipped},
     {"hostile numbers", hostile},

@@ -105,6 +105,9 @@ struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_control
           environment->task.n_terms * sizeof(*environment->task.weights));
   if (environment->n_profile != 0)
     h = mix(h, &environment->profile_spacing_m, sizeof(environment->profile_spacing_m));
+  if (environment->grid != NULL)
+    h = mix(h, environment->grid->heights_m,
+            (size_t)environment->grid->columns * environment->grid->rows * sizeof(double));
   if (environment->damage.cut != 0)
     h = mix(h, &environment->damage.time_s, sizeof(environment->damage.time_s));
   h = mix(h, &physics->scheme.dt_s, sizeof(physics->scheme.dt_s));

@@ -205,6 +205,48 @@ static void checkpoints(void)
   }
 }
 
+/* Grids of other sizes stay in the training when the caller drops them, and in its checkpoints. */
+static void grids(void)
+{
+  struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
+  struct mo_environment environments[3], copies[3];
+  struct mo_sha256 hashes[2];
+  const size_t kept = check_n_kept;
+  struct mo_training *training = finetuning(&settings, 3, 1.0F);
+  uint32_t n;
+  memcpy(environments, own(), sizeof(environments));
+  memset(environments[1].terrain_heights_m, 0, sizeof(environments[1].terrain_heights_m));
+  environments[1].n_profile = 0;
+  environments[1].profile_spacing_m = 0;
+  environments[1].grid = make_grid(128, 128, 0.05, 1, 0.01);
+  environments[2].grid = make_grid(3, 2, 2, 2, 0.1);
+  memcpy(copies, environments, sizeof(copies));
+  mo_environments_hold(copies, 3);
+  REQUIRE_OK(mo_training_set_environments(training, copies, 3));
+  mo_environments_drop(copies, 3);
+  const struct blob blob = encoded(training);
+  struct mo_training *again = decoded(blob);
+  const struct mo_environment *read = mo_training_environments(again, &n);
+  CHECK_INT(n, 3);
+  for (uint32_t k = 0; k < 3; k++) {
+    mo_environment_digest(&environments[k], &hashes[0]);
+    mo_environment_digest(&read[k], &hashes[1]);
+    CHECK(mo_sha256_equal(&hashes[0], &hashes[1]));
+  }
+  CHECK(draw(again)[0].environment->task.guide.kind ==
+        draw(training)[0].environment->task.guide.kind);
+  for (size_t size = blob.size - 1; size > 100; size -= 1 + size / 7) {
+    struct mo_training *none = NULL;
+    uint8_t *cut = malloc(size);
+    memcpy(cut, blob.bytes, size);
+    const uint64_t sum = mo_checksum(cut, size - sizeof(sum));
+    memcpy(cut + size - sizeof(sum), &sum, sizeof(sum));
+    CHECK_INT(mo_training_decode(cut, size, &none, NULL), MO_ERR_FORMAT);
+    free(cut);
+  }
+  check_drop_to(kept);
+}
+
 static void lineage(void)
 {
   struct mo_training *training = in_own(MO_TRAINING_FINETUNE, 1, 5);
@@ -249,6 +291,7 @@ static const struct check_case cases[] = {
     {"tasks in drawn environments", tasks_in_drawn_worlds},
     {"the bodies are those of the seed", bodies_stay},
     {"environments in checkpoints", checkpoints},
+    {"grids of other sizes in checkpoints", grids},
     {"environments in the lineage", lineage},
     {"environments come before the first draw", refused},
 };

@@ -213,6 +213,36 @@ static void draws_profiles(void)
     CHECK(refuses(make_profile(odd[i]), NULL));
 }
 
+/* The same wall as rows of a grid around the start, which a level grid does not have. */
+static void draws_grids(void)
+{
+  static const char *const odd[] = {
+      "\"heights_m\":[[0,0],[0]],\"spacing_m\":1", "\"heights_m\":[[0,0]],\"spacing_m\":1",
+      "\"heights_m\":[[0],[0]],\"spacing_m\":1",   "\"heights_m\":[[0,0],[0,1e30]],\"spacing_m\":1",
+      "\"heights_m\":[[0,0],3],\"spacing_m\":1",   "\"heights_m\":[[0,0],[0,0]]"};
+  static const struct raster_camera camera = {{3, 2.55, 0.1}, 0, 0.6, 4};
+  static const char flat[] = "\"heights_m\":[[0,0,0],[0,0,0]],\"spacing_m\":1.8",
+                    wall[] = "\"heights_m\":[[0,0,0,0,0.5],[0,0,0,0,0.5]],\"spacing_m\":0.9";
+  static uint8_t seen[3][sizeof(rgb)];
+  struct raster *raster = raster_create(96, 64);
+  for (int i = 0; i < 3; i++) {
+    const size_t size = i == 0 ? make(bytes, header) : make_profile(i == 1 ? flat : wall);
+    const struct scene scene = scene_read(bytes, size);
+    CHECK_INT(scene.worlds[0].columns, i == 0 ? 0 : i == 1 ? 3 : 5);
+    CHECK_INT(scene.worlds[0].rows, i == 0 ? 0 : 2);
+    raster_draw(raster, &scene, 0, 0, &camera, true, seen[i]);
+  }
+  int same = 0, changed = 0;
+  for (size_t k = 0; k < sizeof(rgb); k++) {
+    same += abs(seen[0][k] - seen[1][k]) <= 8;
+    changed += abs(seen[1][k] - seen[2][k]) > 8;
+  }
+  CHECK(same > (int)sizeof(rgb) * 95 / 100);
+  CHECK(changed > (int)sizeof(rgb) / 20);
+  for (size_t i = 0; i < COUNT(odd); i++)
+    CHECK(refuses(make_profile(odd[i]), NULL));
+}
+
 static void draws(void)
 {
   const struct raster_camera camera = {{2.55, 2.55, 0.1}, 0.5, 1.2, 0.6};
@@ -248,6 +278,7 @@ static const struct check_case cases[] = {
     {"refuses invalid positions", refuses_places_that_are_none},
     {"draws", draws},
     {"draws profiles, and refuses odd ones", draws_profiles},
+    {"draws grids of other sizes", draws_grids},
     {"encodes a picture", encodes},
 };
 CHECK_MAIN(cases)

@@ -285,7 +285,7 @@ static void step_on(enum ground ground)
       if (ground == PROFILE)
         set_profile(&c.environment, k, c.sigma_m / 4);
       if (ground == GRID)
-        set_grid(&c.environment, k, c.sigma_m / 4);
+        set_grid(&c.environment, k, c.sigma_m / 5);
       struct mo_random random = dice(5, 1, k), near = dice(5, 2, k);
       struct both *b = make_both(&c);
       for (uint32_t i = 0; i < 40; i++) {

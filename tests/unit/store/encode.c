@@ -2,7 +2,7 @@
  * be lost. */
 #include "store/encode.h"
 
-#include "../check.h"
+#include "../make.h"
 #include "rollout/physics.h"
 #include "store/hash.h"
 
@@ -98,6 +98,51 @@ static void encodes_environments(void)
                sizeof(found.terrain_heights_m)) == 0);
   CHECK_INT(mo_decode_environment(bytes, size - 8, &found), MO_ERR_CORRUPT);
   CHECK_INT(mo_decode_environment(NULL, 0, &found), MO_ERR_CORRUPT);
+}
+
+/* A grid follows everything else; it is decoded with a holder of its own. */
+static void encodes_grids(void)
+{
+  struct mo_environment environment = {.light_xy_m = {4, -0.0}}, found;
+  struct mo_sha256 hashes[2];
+  double heights_m[6] = {0.5, -0.0, -1, 2, 0.25, 7};
+  REQUIRE_OK(mo_terrain_grid_create(3, 2, 0.3, heights_m, &environment.grid));
+  const size_t size = mo_encoded_environment_bytes(&environment);
+  uint8_t *bytes = make_zeros(size, 1);
+  CHECK_INT(mo_encode_environment(&environment, bytes), size);
+  REQUIRE_OK(mo_decode_environment(bytes, size, &found));
+  CHECK(found.grid != environment.grid && found.grid->columns == 3 && found.grid->rows == 2);
+  CHECK(found.grid->spacing_m == 0.3 && found.grid->highest_m == 7);
+  CHECK(SAME(found.grid->heights_m, environment.grid->heights_m, 6));
+  CHECK(!signbit(found.grid->heights_m[1]) && !signbit(found.light_xy_m[1]));
+  mo_environments_drop(&found, 1);
+  mo_environment_hash(&environment, &hashes[0]);
+  mo_sha256_of(bytes, size, &hashes[1]);
+  CHECK(mo_sha256_equal(&hashes[0], &hashes[1]));
+  for (size_t cut = 1; cut <= size; cut++)
+    CHECK_INT(mo_decode_environment(bytes, size - cut, &found), MO_ERR_CORRUPT);
+  const size_t head = size - 6 * sizeof(double);
+  const struct {
+    size_t at;
+    double value;
+  } bad[] = {{head, NAN}, {head, 101}, {head + 8, -0.0}, {head - 8, 3}, {head - 8, 0}};
+  for (size_t i = 0; i < COUNT(bad); i++) {
+    double kept;
+    memcpy(&kept, bytes + bad[i].at, sizeof(kept));
+    memcpy(bytes + bad[i].at, &bad[i].value, sizeof(kept));
+    CHECK_INT(mo_decode_environment(bytes, size, &found), MO_ERR_CORRUPT);
+    CHECK(found.grid == NULL);
+    memcpy(bytes + bad[i].at, &kept, sizeof(kept));
+  }
+  bytes[head - 16] = 2; /* columns */
+  CHECK_INT(mo_decode_environment(bytes, size, &found), MO_ERR_CORRUPT);
+  bytes[head - 16] = 255;
+  CHECK_INT(mo_decode_environment(bytes, size, &found), MO_ERR_CORRUPT);
+  bytes[head - 16] = 3;
+  bytes[16] = 1; /* one of the 8 × 8 heights, which must be 0 */
+  CHECK_INT(mo_decode_environment(bytes, size, &found), MO_ERR_CORRUPT);
+  CHECK(found.grid == NULL);
+  mo_environments_drop(&environment, 1);
 }
 
 /* The shape of a profile follows the task. */
@@ -231,6 +276,7 @@ static const struct check_case cases[] = {
     {"encodes settings of later versions", encodes_later_settings},
     {"encodes environments", encodes_environments},
     {"encodes profiles", encodes_profiles},
+    {"grids of other sizes are encoded with their heights", encodes_grids},
     {"encodes damage", encodes_damage},
     {"encodes objectives", encodes_objectives},
     {"refuses other bytes", refuses_other_bytes},
