@@ -100,36 +100,36 @@ static const struct {
 
 #define NO_MEMORY "there is not enough memory for this terrain; try again later"
 
-/* Reads an array of at most `most` heights, and counts all of them. */
-static uint32_t read_row(struct mo_json *json, uint32_t most, double *heights_m)
+/* Reads an array of at most `most` heights, and counts all of them. Returns whether it is one. */
+static bool read_row(struct mo_json *json, uint32_t most, double *heights_m, uint32_t *n)
 {
-  uint32_t n = 0;
+  *n = 0;
   if (!mo_json_array(json))
-    return 0;
-  for (; mo_json_item(json); n++)
-    if (n < most)
-      mo_json_bounded(json, -MO_HEIGHT_LIMIT_M, MO_HEIGHT_LIMIT_M, &heights_m[n]);
+    return false;
+  for (; mo_json_item(json); ++*n)
+    if (*n < most)
+      mo_json_bounded(json, -MO_HEIGHT_LIMIT_M, MO_HEIGHT_LIMIT_M, &heights_m[*n]);
     else
       mo_json_skip(json);
-  return n;
+  return !json->stop;
 }
 
 /* Reads the next row of a grid. Adds a fault if it is not as long as the first. */
 static void read_grid_row(struct mo_json *json, struct asked *asked)
 {
   const unsigned depth = json->depth;
+  const bool is_first = asked->n_rows == 0;
   double *heights_m = asked->grid_m + (size_t)asked->n_rows * asked->columns;
-  const uint32_t n =
-      read_row(json, asked->n_rows == 0 ? MO_GRID_SIDE_MAX : asked->columns, heights_m);
-  if (json->stop)
+  uint32_t n;
+  if (!read_row(json, is_first ? MO_GRID_SIDE_MAX : asked->columns, heights_m, &n))
     return;
-  if (asked->n_rows == 0 && (n < MO_GRID_SIDE_MIN || n > MO_GRID_SIDE_MAX))
+  if (is_first && (n < MO_GRID_SIDE_MIN || n > MO_GRID_SIDE_MAX))
     mo_json_fault_at(json, depth, "", "must have %d to %d heights, got %u", MO_GRID_SIDE_MIN,
                      MO_GRID_SIDE_MAX, n);
-  else if (asked->n_rows > 0 && n != asked->columns)
+  else if (!is_first && n != asked->columns)
     mo_json_fault_at(json, depth, "", "must have as many heights as the first row, %u, got %u",
                      asked->columns, n);
-  if (asked->n_rows == 0)
+  if (is_first)
     asked->columns = n < MO_GRID_SIDE_MAX ? n : MO_GRID_SIDE_MAX;
 }
 
