@@ -148,7 +148,7 @@ def test_evaluations(start):
                          "weighted sums"),
                         ({"task": "walk", "terrain": {"kind": "grid", "spacing_m": 1,
                                                       "heights_m": [[0, 0], [0, 0]]}},
-                         'kind "grid"')):
+                         "terrains of kind")):
         assert word in refused(service, "evaluations",
                                {**LARGE, "device": "cuda", "environments": [world]})
     for more in ({"record": ["com"]}, {"precision": "float64"}, {"priority": "interactive"}):
