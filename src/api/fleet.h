@@ -8,7 +8,7 @@
 
 /* Raised with every change of the wire format. Workers of any version of the program may join if
  * they use this protocol and compute the same bits. */
-#define MO_FLEET_PROTOCOL 3
+#define MO_FLEET_PROTOCOL 4
 #define MO_FLEET_WAIT_S   30 /* longest wait for leases or orders */
 
 /* Writes an object for each loss of a row that differs from the recomputed loss. */

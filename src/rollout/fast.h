@@ -20,8 +20,7 @@
 
 /* The terrain as polynomials: 7 × 7 cells and a rim of cells beyond the map, where the clamped
  * coordinate has no effect. Cell (i, j), −1 ≤ i, j ≤ 7, at (j + 1)·9 + (i + 1): h + u·a + w·b +
- * u·w·c with u, w measured from the cell's corner. A profile has the cells (i, 0), −1 ≤ i ≤ 63.
- * Grids of other sizes have no such table (lane_grid.inc). */
+ * u·w·c from its corner. A profile has cells (i, 0), −1 ≤ i ≤ 63; other grids: lane_grid.inc. */
 #define MO_CELLS_SIDE 9
 #define MO_CELLS      (MO_CELLS_SIDE * MO_CELLS_SIDE)
 

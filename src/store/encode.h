@@ -8,8 +8,9 @@
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "rows are little-endian");
 
-#define MO_ENVIRONMENT_BYTES_MAX sizeof(struct mo_environment) /* without a grid of another size   \
-                                                                */
+#define MO_ENVIRONMENT_BYTES_MAX                                                                   \
+  sizeof(struct mo_environment) /* without a grid of another size                                  \
+                                 */
 #define MO_PHYSICS_BYTES_MAX (1 + sizeof(struct mo_physics) + 2 * sizeof(uint32_t))
 #define MO_BITS_BYTES        18
 

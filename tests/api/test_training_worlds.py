@@ -11,7 +11,8 @@ from test_trainings import BAR, LONG, SMALL, metadata
 
 WORLDS = [{"task": "walk"}, {"task": "walk", "terrain": {"kind": "stairs-up"}},
           {"task": "path", "terrain": {"kind": "grid", "spacing_m": 0.3, "heights_m": [
-              [0.01 * (i * j % 5) for i in range(30)] for j in range(20)]}}, {"task": "photo", "light_xy_m": [4, 2.5]},
+              [0.01 * (i * j % 5) for i in range(30)] for j in range(20)]}},
+          {"task": "photo", "light_xy_m": [4, 2.5]},
           {"light_xy_m": [3, 3.5], "terrain_sigma_m": 0.05, "seed": 4}]
 QUICK = SMALL | {"validation": {"every_steps": 3, "designs": 2}}
 TUNE = {"kind": "finetune", "designs": [DESIGN, BAR], "environments": WORLDS, **QUICK}

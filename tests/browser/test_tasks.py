@@ -73,6 +73,33 @@ def test_the_stage_draws_profiles(service, browser):
     assert browser.faults() == []
 
 
+def test_the_stage_draws_grids(service, browser):
+    """Rows are along y and the middle is at the start, as in the recording."""
+    rows = [[round(0.02 * ((3 * i + 5 * j) % 7), 2) for i in range(30)] for j in range(20)]
+    job = service.evaluate({
+        "designs": [DESIGN], "record": ["masses"], "record_stride": 5,
+        "physics": {"n_steps": 200}, "environments": [
+            {"task": "walk", "terrain": {"kind": "grid", "spacing_m": 0.25, "heights_m": rows}}
+        ]}).json()
+    browser.open(f"stage?evaluation={job['id']}&rows=0")
+    browser.until_walking()
+    browser.run("import(document.querySelector('script[type=module]').src.replace("
+                "/[^/]*$/, 'stage/stage.js')).then(({ heightAt }) => "
+                "Object.assign(window, { heightAt }));")
+    browser.until("window.heightAt")
+    lowest, off = browser.run(f"""
+        const {{ world, track }} = {STAGE}.robots[0];
+        let lowest = Infinity;
+        for (let i = 0; i < track.length; i += 3) {{
+          lowest = Math.min(lowest, track[i + 2] - heightAt(world, track[i], track[i + 1]));
+        }}
+        const off = world.heights.map((h, k) => h - heightAt(world,
+          2.5 + (k % 30 - 14.5) * 0.25, 2.5 + (Math.floor(k / 30) - 9.5) * 0.25));
+        return [lowest, Math.max(...off.map(Math.abs))];""")
+    assert -1e-5 < lowest < 0.01 and off < 1e-6
+    assert browser.faults() == []
+
+
 def test_a_campaign_shows_meters(service, browser):
     """The curve and the champions of a task that is measured in meters have that unit; on the
     stage, the light leads, and the way-points are there."""

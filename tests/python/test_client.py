@@ -74,6 +74,18 @@ def test_values_of_tasks(m, tmp_path):
     assert '"points": [[3.5, 2.5]' in (tmp_path / "player.html").read_text()
 
 
+def test_grids_are_arrays(m, service):
+    """The heights of a grid may be an array of rows; a player draws them."""
+    heights = np.arange(12).reshape(3, 4) / 100
+    world = {"task": "walk",
+             "terrain": {"kind": "grid", "heights_m": heights, "spacing_m": np.float64(0.5)}}
+    scored = m.evaluate([DESIGN], [world], physics=SHORT)
+    known, = service.get(f"/v1/evaluations/{scored.id}/environments")["items"]
+    assert known["terrain"] == {"kind": "grid", "heights_m": heights.tolist(), "spacing_m": 0.5}
+    page = m.show([DESIGN], physics=SHORT, environments=[world]).html
+    assert json.loads(re.search(r"const DATA=(.*);\n", page)[1])["worlds"][0]["columns"] == 4
+
+
 def test_the_best_of_many(m):
     bodies = m.random_bodies(40, seed=8)
     whole = m.evaluate(bodies)

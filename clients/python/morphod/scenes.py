@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 Environments = str | Sequence[Mapping[str, Any]]
 """The name of a set ("paper-test"), or a list of environments: each with `light_xy_m` and either
 `terrain_heights_m` (64 numbers, or an array (8, 8) as in scenes, with row y and column x),
-`terrain_sigma_m` and `seed`, or `terrain` ({"kind": "stairs-up"}, a profile or a grid: docs/tasks.md); or
-with `task` ("walk", or spelled out), which may move the light and needs no terrain."""
+`terrain_sigma_m` and `seed`, or `terrain` ({"kind": "stairs-up"}, a profile, or a grid whose
+heights may be an array: docs/tasks.md); or with `task` ("walk", or spelled out), which may move the
+light and needs no terrain."""
 
 MEDIA_TYPE = "application/vnd.morphod.scene"
 
