@@ -1,7 +1,7 @@
 /* grids.c: rollouts on terrain grids of other sizes than 8 × 8: with that size they have the bits
  * of the usual grid; refined, they are the same ground; and the kernels follow the reference.
  * gradient-dual.c compares the reference's derivative with dual numbers, contact.c its times of
- * impact with a search, gradient-physics-step.c each step of the gradient's kernel. */
+ * impact with a search. */
 #include "lane-cases.h"
 #include "task-cases.h"
 
