@@ -102,7 +102,7 @@ return faults;
 def test_labels_are_text(service, browser):
     browser.open("campaigns/" + service.campaign)
     assert browser.run("return document.querySelectorAll('main b').length") == 0
-    browser.open("overview")
+    browser.open("runs?search=walkers")
     browser.until("[...document.links].some((a) => a.innerText.includes('<b>walkers</b>'))")
     assert browser.run("return document.querySelectorAll('main b').length") == 0
 

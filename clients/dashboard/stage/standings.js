@@ -94,7 +94,7 @@ export class Standings {
     return h('button', {
       type: 'button', 'aria-pressed': 'false',
       title: `${robot.robot}: follow this robot`, onclick: () => this.follow(i),
-    }, h('b', { hidden: !this.race }), h('span.row', {}, swatch(robot.color),
+    }, h('strong', { hidden: !this.race }), h('span.row', {}, swatch(robot.color),
       h('span.name', {}, robot.label ?? '')), h('span.number'));
   }
 

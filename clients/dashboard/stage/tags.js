@@ -68,7 +68,7 @@ export class Tags {
     const robots = stage.lanes()?.robots ?? stage.robots;
     this.robots = robots.length > 1 && robots.length <= TAGS_MAX ? robots : [];
     fill(this.element, this.robots.map((robot) => {
-      const tag = h('span.tag', {}, h('b'), h('span', {}, robot.label ?? ''),
+      const tag = h('span.tag', {}, h('strong'), h('span', {}, robot.label ?? ''),
         h('span.number', {}, resultOf(robot)));
       tag.style.borderColor = robot.color;
       return tag;
