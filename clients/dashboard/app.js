@@ -120,7 +120,7 @@ export const app = {
     this.title = text;
     document.title = `${this.notice ?? ''}${text} · morphod`;
   },
-  /** Puts news before the title; '': takes them away. */
+  /** Puts a notice before the title; '' removes it. */
   setNotice(text) {
     this.notice = text && `${text} – `;
     this.setTitle(this.title);
@@ -358,7 +358,7 @@ class Frame {
     }
   }
 
-  /** Shows the choice of a task where scores follow it. */
+  /** Shows the task menu on pages whose scores depend on the task. */
   #offerTasks(on) {
     if (on) this.caller.after(this.taskField);
     else this.taskField.remove();
@@ -368,8 +368,8 @@ class Frame {
   #takeTask(name) {
     const task = name === null ? app.task : TASKS.find((one) => one.name === name);
     if (!task) {
-      throw new LinkError(`task=${name.slice(0, 60)}: one of ` +
-        `${TASKS.map((one) => one.name).join(', ')} is expected.`);
+      throw new LinkError(`task=${name.slice(0, 60)} is invalid; use one of ` +
+        `${TASKS.map((one) => one.name).join(', ')}.`);
     }
     setTask(task);
     this.taskField.querySelector('select').value = task.name;

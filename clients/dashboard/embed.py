@@ -50,7 +50,8 @@ def without_comments(name: str, text: str) -> str:
 
 
 def inlined(page: str) -> set[str]:
-    """Returns the files whose lines saved pages and other clients read."""
+    """Returns the files that saved pages and other clients read as source, so they are not
+    minified."""
     modules = re.search(r"const MODULES = \[(.*?)\]", page, re.DOTALL)
     assert modules
     return {"export/page.js", *re.findall(r"'([^']+)'", modules[1])}

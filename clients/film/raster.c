@@ -372,8 +372,8 @@ static void fill(struct raster *raster, const struct vertex corners[4], const in
     }
 }
 
-/* Moves a coordinate of the mesh onto a height of a profile, or of a grid of another size than
- * 8 × 8, that is less than a cell away, so that its edges are sharp. */
+/* Moves a coordinate of the mesh onto a height of a profile or custom grid that is less than a cell
+ * away, so that its edges are sharp. */
 static float on_height(const struct scene_world *world, int axis, float at)
 {
   if (world->columns == 0 && (world->n_profile == 0 || axis == 1))

@@ -95,13 +95,13 @@ static void read_body(const struct reader *reader, const json_t *item, struct sc
   check_indices(body->voxels, body->n_voxels, 8, 8, body->n_masses);
 }
 
-/* A grid of another size than 8 × 8: rows of heights. */
+/* A custom grid: rows of heights. */
 static void read_grid(const json_t *list, struct scene_world *world)
 {
   const size_t rows = json_array_size(list), columns = json_array_size(json_array_get(list, 0));
   if (rows < 2 || rows > 128 || columns < 2 || columns > 128 ||
       !(world->spacing_m > 1e-3 && world->spacing_m < 1e3))
-    refuse("a grid does not have 2 to 128 rows of 2 to 128 heights, or no spacing");
+    refuse("a grid must have 2 to 128 rows of 2 to 128 heights, and a valid spacing");
   float *heights_m = keep(calloc(rows * columns, sizeof(*heights_m)));
   for (size_t j = 0; j < rows; j++) {
     const json_t *row = json_array_get(list, j);
@@ -127,7 +127,7 @@ static void read_terrain(const json_t *terrain, struct scene_world *world)
     return;
   }
   if (n < 2 || n > 64 || !(world->spacing_m > 1e-3 && world->spacing_m < 1e3))
-    refuse("a profile does not have 2 to 64 heights, or no spacing");
+    refuse("a profile must have 2 to 64 heights, and a valid spacing");
   float *heights_m = keep(calloc(n, sizeof(*heights_m)));
   for (size_t k = 0; k < n; k++)
     heights_m[k] = (float)json_number_value(json_array_get(heights, k));

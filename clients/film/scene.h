@@ -18,11 +18,11 @@ struct scene_body {
 
 struct scene_world {
   double light_xy_m[2];   /* of a light that does not move */
-  const float *heights_m; /* (8, 8), row y; of a profile, (n_profile) along x; of a grid of another
-                             size, (rows, columns) around (2.5, 2.5) */
+  const float *heights_m; /* (8, 8), row y; of a profile, (n_profile) along x; of a custom grid,
+                             (rows, columns) around (2.5, 2.5) */
   uint32_t n_profile;     /* 0: a grid */
-  uint32_t columns, rows; /* of a grid of another size; 0: 8 × 8 */
-  double spacing_m;       /* of a profile, and of a grid of another size */
+  uint32_t columns, rows; /* of a custom grid; otherwise 0 */
+  double spacing_m;       /* of a profile, and of a custom grid */
 };
 
 struct scene_rollout {

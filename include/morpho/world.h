@@ -4,8 +4,8 @@
  * A terrain is a grid or a profile; beyond its edges, its height continues unchanged.
  *   Grid: 8 × 8 heights over 5 m × 5 m, bilinear between them. Row j is y, column i is x:
  *   heights[j*8 + i] at (i·5/7 m, j·5/7 m).
- *   Grid of another size (struct mo_terrain_grid): the same with rows and columns of its own, one
- *   spacing along both axes, and its middle at the center of the robot's workspace.
+ *   Custom grid (struct mo_terrain_grid): the same with its own rows and columns, one spacing along
+ *   both axes, and its middle at the center of the robot's workspace.
  *   Profile: heights along x, linear between them, the same for every y: heights[k] at
  *   x = k · profile_spacing_m.
  * The robot's workspace is centered at (2.5 m, 2.5 m). The light stands on the terrain: its z is
@@ -40,8 +40,7 @@ extern "C" {
 #define MO_GRID_SIDE_MAX         128
 #define MO_GRID_SPACING_MIN_M    0.02
 #define MO_GRID_SPACING_MAX_M    2.0
-/* Heights that the grids of a request may have together: 16 of the largest, 2 MiB as they are kept.
- */
+/* Maximum number of heights in all grids of a request: 16 of the largest, 2 MiB of float64. */
 #define MO_GRIDS_HEIGHTS_MAX (16 * MO_GRID_SIDE_MAX * MO_GRID_SIDE_MAX)
 
 /* Springs that break during the rollout: those of one octant of the body's bounding box before the
@@ -55,7 +54,7 @@ struct mo_damage {
 #define MO_OCTANTS           8
 #define MO_DAMAGE_TIME_MAX_S 3600.0
 
-/* A grid of another size. It never changes, and several environments may refer to it. */
+/* A grid with its own size and spacing (it may be 8 × 8). Immutable; environments may share it. */
 struct mo_terrain_grid {
   uint32_t columns, rows; /* along x, along y; MO_GRID_SIDE_MIN … MAX */
   double spacing_m;       /* MO_GRID_SPACING_MIN_M … MAX_M */
@@ -68,21 +67,21 @@ struct mo_terrain_grid {
 struct mo_environment {
   double light_xy_m[2];
   double terrain_heights_m[MO_TERRAIN_HEIGHTS]; /* those that a profile does not have are 0, and all
-                                                   if there is a grid of another size */
+                                                   if there is a custom grid */
   struct mo_task task;      /* all 0: the light is fixed, and the robot is to reach it */
   uint32_t n_profile;       /* 0: the terrain is a grid; else the number of a profile's heights,
                                MO_PROFILE_HEIGHTS_MIN … MO_TERRAIN_HEIGHTS */
   double profile_spacing_m; /* of a profile: MO_PROFILE_SPACING_MIN_M … MAX_M; of a grid: 0 */
   struct mo_damage damage;
-  const struct mo_terrain_grid *grid; /* nullable: the terrain is a grid of another size. A copy of
-                                         the struct borrows it; see mo_terrain_grid_hold */
+  const struct mo_terrain_grid *grid; /* nullable: the terrain is a custom grid. A copy of the
+                                         struct borrows it; see mo_terrain_grid_hold */
 };
 
 /* Makes a grid with one holder. heights_m: (rows, columns), copied. MO_ERR_INVALID (a number is not
  * finite), MO_ERR_RANGE or MO_ERR_NO_MEMORY. */
 int mo_terrain_grid_create(uint32_t columns, uint32_t rows, double spacing_m,
                            const double *heights_m, const struct mo_terrain_grid **grid);
-/* Adds a holder, or takes one away; the grid is freed with the last. Any thread. NULL: nothing. */
+/* Adds or drops a reference; dropping the last one frees the grid. Thread-safe. NULL is ignored. */
 void mo_terrain_grid_hold(const struct mo_terrain_grid *grid);
 void mo_terrain_grid_drop(const struct mo_terrain_grid *grid);
 /* The same for the grids of n environments, which become NULL when they are dropped. */
@@ -104,7 +103,7 @@ double mo_terrain_highest(const struct mo_environment *environment);
  * that a profile does not have is not 0) or MO_ERR_RANGE; *where (nullable): 0 and 1 for the
  * light's coordinates, 2 + k for height k, MO_ENVIRONMENT_TASK for the task, for which
  * mo_task_check has a message, MO_ENVIRONMENT_PROFILE for n_profile and profile_spacing_m (also
- * for a profile and a grid of another size at once), and MO_ENVIRONMENT_DAMAGE for the damage. */
+ * if both a profile and a custom grid are set), and MO_ENVIRONMENT_DAMAGE for the damage. */
 #define MO_ENVIRONMENT_TASK    (2 + MO_TERRAIN_HEIGHTS)
 #define MO_ENVIRONMENT_PROFILE (3 + MO_TERRAIN_HEIGHTS)
 #define MO_ENVIRONMENT_DAMAGE  (4 + MO_TERRAIN_HEIGHTS)

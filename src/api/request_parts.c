@@ -214,8 +214,7 @@ static void read_list(struct mo_json *json, const char *what,
   }
   if (n_heights > MO_GRIDS_HEIGHTS_MAX)
     mo_json_fault_at(json, depth, "",
-                     "the grids of all environments may have at most %d heights together; use "
-                     "smaller or fewer grids",
+                     "all grids together may have at most %d heights; use smaller or fewer grids",
                      MO_GRIDS_HEIGHTS_MAX);
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
     mo_json_fault_at(json, depth, "", "must have 1 to %d %s, got %s", MO_ENVIRONMENTS_MAX, what,

@@ -196,7 +196,8 @@ int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
 
 /* ---- whole scenes ---- */
 
-/* Positions within this distance of their middle are within 0.5 mm of theirs as int16. */
+/* Positions that are at most this far from their midpoint have an error of at most 0.5 mm as
+ * int16. */
 #define INT16_HALF_M 32.0
 
 /* Writes rows of numbers as an array of float32. */
@@ -237,7 +238,7 @@ static void write_environment(struct mo_text *text, struct mo_text *arrays,
   mo_text_add(text, "}");
 }
 
-/* The middle of positions, and what one unit of int16 is so that all of them fit. */
+/* The midpoint of the positions, and the length of one int16 unit, so that all positions fit. */
 struct grid {
   double origin_m[3], unit_m;
 };

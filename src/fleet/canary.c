@@ -132,7 +132,7 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
     for (uint32_t e = 0; e < MO_BLOCK_LANES && error == MO_OK; e++) {
       mo_environment_training(SEED, b, e, &canary->environments[b][e]);
       set_task(e, back_end, &canary->environments[b][e]);
-      if (e % 4 == 2 && back_end == MO_ON_CPU) /* devices do not compute them */
+      if (e % 4 == 2 && back_end == MO_ON_CPU) /* devices do not compute custom grids */
         error = set_grid(&canary->environments[b][e]);
       block->environments[e] = &canary->environments[b][e];
     }

@@ -135,9 +135,8 @@ const char *mo_back_end_unsuited(const struct mo_environment *environments, uint
 {
   for (uint32_t i = 0; environments != NULL && i < n; i++)
     if (environments[i].grid != NULL)
-      return "devices cannot compute terrains of kind \"grid\" yet; request \"cpu\" or \"auto\", "
-             "or "
-             "environments with 8 × 8 heights (terrain_heights_m) or profiles";
+      return "GPUs cannot compute terrains of kind \"grid\" yet; request \"cpu\" or \"auto\", or "
+             "use terrain_heights_m or a profile";
   for (uint32_t i = 0; environments != NULL && i < n; i++)
     if (!mo_task_suits_devices(&environments[i].task))
       return "devices cannot compute the objectives \"efficient\" and \"jump\" and weighted sums "

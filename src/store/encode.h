@@ -8,11 +8,10 @@
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "rows are little-endian");
 
-#define MO_ENVIRONMENT_BYTES_MAX                                                                   \
-  sizeof(struct mo_environment) /* without a grid of another size                                  \
-                                 */
-#define MO_PHYSICS_BYTES_MAX (1 + sizeof(struct mo_physics) + 2 * sizeof(uint32_t))
-#define MO_BITS_BYTES        18
+/* Without a custom grid. */
+#define MO_ENVIRONMENT_BYTES_MAX sizeof(struct mo_environment)
+#define MO_PHYSICS_BYTES_MAX     (1 + sizeof(struct mo_physics) + 2 * sizeof(uint32_t))
+#define MO_BITS_BYTES            18
 
 /* Returns the number of bytes written: the packed form (world/environment.h), which has a different
  * size in each version. Writes −0 as 0, so that equal environments have one row and are computed

@@ -17,7 +17,7 @@ enum { MO_PLACE_LIGHT, MO_PLACE_HEIGHTS }; /* its first rows */
  * grid if its terrain is a profile. Those have members of their own in JSON (task_json.h). */
 bool mo_place_has(const struct mo_environment *environment, size_t row);
 
-/* The whole environment but for a grid of another size. task_json.h: in JSON. */
+/* The whole environment, except for a custom grid. task_json.h: in JSON. */
 extern const struct mo_fields mo_environment_fields;
 /* The value that a newly added field has where it is not given. */
 extern const struct mo_environment mo_environment_defaults;
@@ -26,9 +26,9 @@ extern const struct mo_environment mo_environment_defaults;
  * fields (base/fields.h): 66 float64, from version 2 on the task, from version 3 on the shape of
  * the terrain, from version 4 on the damage, and from version 5 on the terms of a sum. In version
  * 6, 16 bytes follow, columns and rows of the grid (uint32_t) and its spacing (double), which are 0
- * without a grid of another size, and then its heights (double). */
+ * without a custom grid, and then its heights (double). */
 #define MO_ENVIRONMENT_GRID_VERSION 6
-/* No more bytes than this precede the heights of a grid. */
+/* Upper bound on the bytes before a grid's heights. */
 #define MO_ENVIRONMENT_HEAD_BYTES (sizeof(struct mo_environment) + 16)
 
 /* Returns the first version that has everything that an environment has. */

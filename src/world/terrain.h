@@ -10,7 +10,7 @@
   "rough", "flat", "slope", "stairs-up", "stairs-down", "hurdles", "gaps", "steps"
 
 struct mo_terrain_axis {
-  double from_m;      /* coordinates count from here; 0 but for a grid of another size */
+  double from_m;      /* coordinates count from here; 0, except for a custom grid */
   double size_m;      /* they are clamped to 0 … size_m */
   double cells_per_m; /* 0: the height does not change along this axis */
   int cells;

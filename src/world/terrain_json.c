@@ -127,7 +127,7 @@ static void read_grid_row(struct mo_json *json, struct asked *asked)
     mo_json_fault_at(json, depth, "", "must have %d to %d heights, got %u", MO_GRID_SIDE_MIN,
                      MO_GRID_SIDE_MAX, n);
   else if (!is_first && n != asked->columns)
-    mo_json_fault_at(json, depth, "", "must have as many heights as the first row, %u, got %u",
+    mo_json_fault_at(json, depth, "", "must have %u heights, as many as the first row, got %u",
                      asked->columns, n);
   if (is_first)
     asked->columns = n < MO_GRID_SIDE_MAX ? n : MO_GRID_SIDE_MAX;

@@ -12,10 +12,10 @@
 #include "base/json.h"
 #include "base/text.h"
 
-/* Reads a terrain. An invalid one adds a fault and leaves the environment unchanged, which must not
- * have a grid. The caller drops the grid (mo_environments_drop). */
+/* Reads a terrain. The environment must not have a grid yet. If the terrain is invalid, adds a
+ * fault and leaves the environment unchanged. The caller drops the grid (mo_environments_drop). */
 void mo_terrain_read(struct mo_json *json, struct mo_environment *environment);
-/* Writes the terrain of an environment, a profile or a grid of another size, as an object. */
+/* Writes the terrain of an environment, a profile or a custom grid, as an object. */
 void mo_terrain_write(struct mo_text *text, const struct mo_environment *environment);
 
 #endif

@@ -204,7 +204,7 @@ REFUSED = [
      "must have 2 to 128 heights, got 1"),
     ({"kind": "grid", "heights_m": [[0] * 129] * 2, "spacing_m": 1}, "/heights_m/0", "got 129"),
     ({"kind": "grid", "heights_m": [[0, 1], [0, 1, 2]], "spacing_m": 1}, "/heights_m/1",
-     "as many heights as the first row, 2, got 3"),
+     "must have 2 heights, as many as the first row, got 3"),
     ({"kind": "grid", "heights_m": [[0, 1], 3], "spacing_m": 1}, "/heights_m/1", "array"),
     ({"kind": "grid", "heights_m": [[0, 1], [0, 101]], "spacing_m": 1}, "/heights_m/1/1",
      "must be"),

@@ -81,7 +81,7 @@ def test_a_drag_zooms_all_charts_of_a_page(browser, evolved):
     browser.until("document.querySelector('.pick')")
     browser.until(FIGURE.format("Score") + "?.querySelector('canvas')"
                   f".ariaLabel.includes(', generation {first} to {last}:')")
-    figure(browser).find_element("xpath", ".//button[text()='Whole']").click()
+    figure(browser).find_element("xpath", ".//button[text()='Reset zoom']").click()
     assert "zoom" not in query(browser) and "Score: " in described(browser)
     drag(browser, canvas(browser), 0.4, 0.7)
     assert "zoom" in query(browser)
@@ -191,7 +191,7 @@ def test_rollouts_and_time_of_a_campaign(service, browser, evolved):
     shown(browser, evolved, "?zoom=3..5")
     choose_axis(browser, "rollouts")
     total = sum(row["rollouts"] for row in rows)
-    assert query(browser) == {"x": "rollouts"}  # a range of generations is none of rollouts
+    assert query(browser) == {"x": "rollouts"}  # a range of generations does not apply to rollouts
     assert f"at rollouts {total}" in described(browser)
     choose_axis(browser, "time")
     seconds = list(itertools.accumulate(row["seconds"] for row in rows))
@@ -227,8 +227,9 @@ def test_choices_survive_new_values(service, browser):
 
 
 @pytest.mark.parametrize("query, words", (
-    ("zoom=5..2", "a range such as 10..40"), ("zoom=..", "a range such as 10..40"),
-    ("x=robots", "one of generation, rollouts, time"), ("log=speed", "There is no chart speed")))
+    ("zoom=5..2", "use a range such as 10..40"), ("zoom=..", "a range such as 10..40"),
+    ("x=robots", "use one of generation, rollouts, time"),
+    ("log=speed", "No chart is named speed")))
 def test_wrong_choices_in_a_link(browser, evolved, query, words):
     browser.open(f"campaigns/{evolved}?{query}")
     browser.until("document.querySelector('[role=alert]')")

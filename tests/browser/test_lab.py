@@ -94,7 +94,7 @@ def test_the_last_voxel_stays(browser):
     browser.open("lab?voxels=" + genotype((0, 0, 0), (1, 0, 0)))
     stroke(browser, *(middle(browser, cell(x, 0, 0)) for x in (0, 1)))
     assert cells(browser) == [(1, 0, 0)]
-    browser.until(f"({TOAST}).includes('A body needs a voxel')")
+    browser.until(f"({TOAST}).includes('A body needs at least one voxel')")
     right = middle(browser, cell(3, 0, 0))
     stroke(browser, middle(browser, cell(1, 0, 0)), right, button=MouseButton.RIGHT)
     assert cells(browser) == [(1, 0, 0)]  # the right button only clears
@@ -283,7 +283,7 @@ def test_the_task_of_the_bar(service, browser):
     assert stage.endswith("&environment=3&set=morpho-12-walk")
     choose("pursue")
     browser.until("document.querySelector('.way')?.innerText.includes('Pursue')")
-    assert "This store has no scores in this task" in browser.texts(".home")[0]
+    assert "This store has no scores to rank for this task" in browser.texts(".home")[0]
     browser.run("location.hash = '#/machines'")
     browser.until("document.querySelector('h1')?.innerText === 'Machines'")
     assert browser.run("return document.querySelector('header select')") is None
@@ -298,7 +298,8 @@ def test_links_to_the_editor_lead_to_the_lab(browser):
     browser.until("document.querySelector('h1')?.innerText === 'Lab'")
     assert "#/lab?voxels=" + ONE in browser.driver.current_url and cells(browser) == [(0, 0, 0)]
     browser.open("lab?task=swim")
-    browser.until("document.querySelector('main .error')?.innerText.includes('task=swim: one of')")
+    browser.until("document.querySelector('main .error')?.innerText"
+                  ".includes('task=swim is invalid; use one of')")
 
 
 def test_on_a_phone_the_stage_stays_in_sight(browser):

@@ -74,7 +74,7 @@ def test_where_notifications_are_refused(service, browser, endless, faked):
     browser.open(f"campaigns/{endless}")
     browser.until(BUTTON)
     browser.click("Notify me", "main button")
-    browser.until(f"{TOAST}?.startsWith('This browser does not allow notifications')")
+    browser.until(f"{TOAST}?.startsWith('Notifications are not available')")
     assert browser.run("return asked") == 0
     browser.run("location.hash = '#/designs'")
     service.act(endless, "cancel")
@@ -85,7 +85,7 @@ def test_where_notifications_are_refused(service, browser, endless, faked):
     assert browser.run("return shown") == [] and browser.faults() == []
 
 
-def test_a_hidden_tab_is_told(service, browser, endless, faked):
+def test_a_hidden_tab_is_notified(service, browser, endless, faked):
     """Its events go on while someone waits for one."""
     faked("granted", "granted")
     browser.open(f"campaigns/{endless}")

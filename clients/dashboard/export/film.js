@@ -1,4 +1,4 @@
-/** Films of the stage; those of a race have its order beside the lanes, and its slow motion. */
+/** Films of the stage. Films of a race include the standings and the slow motion. */
 
 import { project } from '../stage/math.js';
 import { filmTimes, orderAt } from '../stage/race.js';
@@ -6,12 +6,12 @@ import { record } from './webm.js';
 
 /** A film of a race ends with a still picture. */
 const STILL_S = 1.2;
-/** Lines of the order per height of the picture. */
+/** Height of the picture, in lines of the standings. */
 const LINES = 34;
 
 /**
  * @param {import('../stage/player.js').Player} player
- * @param {function(number): void} onprogress gets the share that is done
+ * @param {function(number): void} onprogress is called with the fraction done
  * @returns {Promise<Blob>}
  */
 export async function filmOf(player, onprogress) {

@@ -85,8 +85,8 @@ export class Chart {
    *          minimum?: number, maximum?: number, empty?: string, note?: string, isWhole?: boolean,
    *          xRange?: [number, number], xText?: function(number): string,
    *          yText?: function(number): string}} options isWhole: false if the axis has values
-   *          between whole numbers; xRange: fixes the axis, whatever the values; log: unless the
-   *          user or a value says otherwise
+   *          between whole numbers; xRange: fixes the axis, whatever the values; log: whether y
+   *          is logarithmic by default
    */
   constructor(options) {
     this.options = { key: '', xName: 'generation', height: 220, empty: 'No values yet.',
@@ -103,8 +103,8 @@ export class Chart {
     this.canvas.style.minHeight = `${this.options.height}px`;
     this.readout = h('div.readout');
     this.legend = h('div.legend');
-    this.whole = button('Whole', () => this.group.zoomTo(null), { class: 'small', hidden: true,
-      title: 'Show all values again: double-click, or the key 0' });
+    this.whole = button('Reset zoom', () => this.group.zoomTo(null), { class: 'small', hidden: true,
+      title: 'Show all values (double-click the chart, or press 0)' });
     this.logToggle = xRange ? null : toggle('log', false,
       (on) => this.group.setLog(this.options.key, on),
       { class: 'small', 'aria-label': `Logarithmic axis: ${options.title}` });
@@ -137,7 +137,7 @@ export class Chart {
       this.drag = null;
       this.draw();
     });
-    // A finger that was lifted leaves its cursor.
+    // Keep the cursor when a finger lifts.
     on('pointerleave', ({ pointerType }) => {
       if (pointerType !== 'touch') this.group.point(null, this);
     });
@@ -494,7 +494,7 @@ export class Chart {
     const factor = { '+': 0.5, '=': 0.5, '-': 2 }[event.key];
     if (to !== undefined) {
       const x = main.x[Math.min(last, Math.max(0, to))];
-      // The view goes with the cursor.
+      // The view follows the cursor.
       const off = Math.min(0, x - (group.zoom?.[0] ?? x)) + Math.max(0, x - (group.zoom?.[1] ?? x));
       if (off) group.zoomTo(group.zoom.map((end) => end + off));
       group.point(x, this);

@@ -26,7 +26,7 @@ export class ChartGroup {
       const [from, to] = this.zoom;
       if (this.zoom.length !== 2 || !/^[^.].*[^.]$/.test(zoom) || !(to - from < Infinity) ||
         from >= to) {
-        throw new LinkError(`zoom=${zoom}: a range such as 10..40 is expected.`);
+        throw new LinkError(`zoom=${zoom} is invalid; use a range such as 10..40.`);
       }
     }
     /** Whether y is logarithmic, by the keys of the charts whose usual scale was changed. */
@@ -41,7 +41,7 @@ export class ChartGroup {
     const wrong = [...this.scales.keys(), ...[...this.hidden].map((one) => one.split('.')[0])]
       .find((key) => !keys.includes(key));
     if (wrong === undefined) return;
-    throw new LinkError(`There is no chart ${wrong}; there are ${keys.join(', ')}.`);
+    throw new LinkError(`No chart is named ${wrong}; the charts are ${keys.join(', ')}.`);
   }
 
   /** Shows a range of x in all charts; null: all of it. */
@@ -108,5 +108,5 @@ export function axisRow(axes, axis, chosen) {
 export function axisIn(parameters, axes) {
   const axis = parameters.get('x') ?? axes[0];
   if (axes.includes(axis)) return axis;
-  throw new LinkError(`x=${axis}: one of ${axes.join(', ')} is expected.`);
+  throw new LinkError(`x=${axis} is invalid; use one of ${axes.join(', ')}.`);
 }

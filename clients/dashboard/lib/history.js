@@ -1,4 +1,4 @@
-/** The history of a body that is built: undo and redo, until the tab is closed. */
+/** Undo history of the body in the Lab, kept until the tab is closed. */
 
 import { storing } from './api.js';
 
@@ -7,7 +7,7 @@ const STEPS_MAX = 100;
 
 export const isBody = (text) => /^[01]{144}$/.test(text) && text.includes('1');
 
-/** What was stored: {past, body, future}; texts that are no bodies are left out. */
+/** Returns the stored {past, body, future}, without invalid bodies. */
 function stored() {
   const text = storing(() => sessionStorage.getItem(STATE_KEY));
   try {

@@ -50,7 +50,8 @@ export function followNotices(app) {
       if (!isOver(job) || !want(id, false)) return;
       const text = `${titleOf(job)}: ${stateOf(job)}`;
       if (notify(text, job, linkOf(job))) return;
-      // The title stays until the user is back, and so the line that vanishes is seen.
+      // Keep the title until the user is back, and show the message only then, because it
+      // disappears by itself.
       const isHidden = document.hidden;
       if (!isHidden) announce(text);
       app.setNotice(text);
@@ -76,8 +77,9 @@ export function noticeButton(id) {
     if (!on) return;
     const answer = await storing(() => (Notification.permission === 'default'
       ? Notification.requestPermission() : Notification.permission));
-    announce(answer === 'granted' ? 'You will get a notification when it ends, while a tab is open.'
-      : 'This browser does not allow notifications here. When it ends, the title of the tab and ' +
-        'a line like this will say so.');
-  }, { title: 'When this run ends, while a tab with this page is open' });
+    announce(answer === 'granted'
+      ? 'You will get a notification when this run ends, as long as a dashboard tab is open.'
+      : 'Notifications are not available in this browser. When this run ends, the tab\'s title ' +
+        'and a message like this one will say so.');
+  }, { title: 'Notify me when this run ends, as long as any dashboard tab is open' });
 }

@@ -6,14 +6,14 @@
 import { heightAt, project } from './math.js';
 import { centerOfMass } from './robot.js';
 
-/** With more, lanes would be too narrow; in a narrow picture, with more than a few. */
+/** Maximum number of lanes, and that for narrow canvases: more would be too thin to see. */
 const LANES_MAX = 16;
 const FEW_LANES = 8;
 const NARROW_PX = 640;
 /** Around what the robots and their lights cover, and between lanes. */
 const MARGIN_M = 0.06;
 const GAP_M = 0.05;
-/** A robot that strays farther than this to a side leaves its lane: many lanes are narrow. */
+/** Maximum distance to the side within a lane; smaller for many robots. */
 const strayM = (n) => (n <= 4 ? 1.3 : n <= 8 ? 0.75 : 0.5);
 /** A light that leads is drawn this close to its robot, to stay within the lane. */
 const LEAD_M = 0.45;
@@ -109,7 +109,7 @@ export function lanesOf(all, max) {
 const HALF_M = Math.tan((19 * Math.PI) / 180);
 /** With little perspective, robots in far lanes are as large as others. */
 export const LENS = 3;
-/** How steep the view of a race may be: as the ground is largest. */
+/** Pitches to try for a race; the one that shows the ground largest is used. */
 const PITCHES = [1.15, 0.9, 0.6];
 /** How large the ground of the lanes is in a picture. */
 const sizeIn = ({ pitch, distanceM }) => Math.sin(pitch) / distanceM ** 2;

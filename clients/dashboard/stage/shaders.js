@@ -102,8 +102,7 @@ void main() {
     way = mix(lane.xz, lane.yw, corner * 0.5 + 0.5);
     p = course.xy + way.x * course.zw + way.y * vec2(course.w, -course.z);
   }
-  // Edges of a profile, or of a grid of another size than 8 × 8, are sharp where the mesh is finer
-  // than its heights.
+  // Edges of a profile or custom grid are sharp where the mesh is finer than its heights.
   vec2 edge = origin + round((p - origin) / spacing) * spacing;
   bool isAligned = !isLane || abs(course.z) > 0.99;
   if (isAligned && (isProfile || isGrid) && abs(edge.x - p.x) < 0.05) p.x = edge.x;

@@ -69,7 +69,7 @@ function sunOf(world) {
   return normalize([-0.7 * Math.sin(turn), -0.7 * Math.cos(turn), 1]);
 }
 
-/** A square with this many cells along each side, from -1 to 1. */
+/** A mesh of `cells` × `rows` cells over the square from -1 to 1. */
 function groundMesh(gl, cells, rows = cells) {
   const corners = new Float32Array((cells + 1) * (rows + 1) * 2);
   const triangles = new Uint32Array(cells * rows * 6);
@@ -146,7 +146,7 @@ export class Stage {
     this.drawn = null;
     this.drawnOf = null;
     this.turn = 0;
-    /** Views that there will be: those of robots that come later have their place already. */
+    /** Number of views once all robots have arrived; their places are reserved. */
     this.expected = 0;
     /** @type {?{key: string, sun: number[]}} */
     this.sunAt = null;
@@ -513,7 +513,7 @@ export class Stage {
         gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, robot.body.nMasses);
       }
     });
-    // Lamps are as large in a view from far away as in one from near, but for lanes.
+    // If the camera is farther away than 3.4 m, lamps are drawn smaller, except in lanes.
     const far = shared ? 1 : Math.min(1, 3.4 / this.camera.distanceM);
     const lamp = (place, at, size) => {
       this.programs.lamp.use().set(place)

@@ -56,7 +56,7 @@ export class Standings {
     const others = lanes ? robots.length - lanes.robots.length : 0;
     this.left.hidden = !others;
     say(this.left, `the best ${lanes?.robots.length} of ${robots.length}`);
-    this.left.title = 'Robots with lower scores have no lane; side by side shows all of them';
+    this.left.title = 'Only the best robots have a lane. Side by side shows all robots.';
     this.shownMs = 0;
     this.update(false);
   }
@@ -103,7 +103,7 @@ export class Standings {
     const [from] = this.slowPart;
     if (!this.isSlow || !this.race) return timeS + seconds;
     const next = timeS + seconds * paceAt(this.slowPart, timeS);
-    return timeS < from && next > from ? from : next; // slow pictures do not skip it
+    return timeS < from && next > from ? from : next; // a slow frame must not skip the slow part
   }
 }
 

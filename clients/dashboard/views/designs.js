@@ -60,8 +60,8 @@ async function mountBoard(main, parameters, app) {
     app.remember({ shown });
     fill(foot, cursor === null ? null : button('Show more', () => announced(more)),
       h('span.muted', {}, shown ? `${countOf(shown, 'design')} shown`
-        : set ? `No design has a score in ${set} with this controller yet. An evaluation in this ` +
-          'set computes scores.'
+        : set ? `No design has a score in ${set} with this controller yet. To get scores, ` +
+          'run an evaluation in this set.'
         : 'No design has a score with this controller yet. Evaluations and campaigns compute ' +
           'scores; start one on the page Runs.'));
   }
@@ -75,9 +75,9 @@ async function mountBoard(main, parameters, app) {
   }
 
   main.replaceChildren(h('div.title', {}, h('h1', {}, 'Designs'),
-    h('span.muted', {}, task === app.task ? '' : `${app.task.title} has no set of worlds to rank ` +
-      'designs in. ', `${task.title}: score, the mean ` +
-      `loss over the ten worlds of ${task.set}; lower is better`),
+    h('span.muted', {}, task === app.task ? '' : `${app.task.title} has no fixed set of ` +
+      'worlds, so designs cannot be ranked by it. Shown instead: ', `${task.title}: score, the ` +
+      `mean loss over the ten worlds of ${task.set}; lower is better`),
     h('div.actions', {},
     select('Order', Object.keys(ORDERS).map((key) => [key, `${key} first`]), order, (value) => {
       order = value;

@@ -74,8 +74,8 @@ export async function mount(main, path, parameters, app) {
         'the reproduction of the paper.'
       : isOwn ? `The best score in this store${isPhoto ? '' : ' in this task'}, with the default ` +
         'controller.'
-      : 'This store has no scores in this task. This robot is the best of the store at reaching ' +
-        'a light; its score here was just computed.';
+      : 'This store has no scores to rank for this task, so this is its best robot at reaching ' +
+        'the light, scored here in this task.';
     const link = isShipped ? `#/lab?voxels=${genotypeOfId(robot)}` : `#/designs/${robot}`;
     const [figure, rest] = !scored ? [] : isPhoto ? wayOf(scored.mean)
       : [resultOf({ ...scored, loss: scored.mean }), `: ${task.title}`];

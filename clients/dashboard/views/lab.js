@@ -1,4 +1,4 @@
-/** The Lab: a body is built at the left; at the right it walks, and is scored after every step. */
+/** The Lab: build a body on the left; it walks on the right, and is scored after every change. */
 
 import { LinkError, getJson, patient, post } from '../lib/api.js';
 import { WORKSPACE, genotypeOf, genotypeOfId, robotOf } from '../lib/body.js';
@@ -20,7 +20,7 @@ const FIRST = [
 ];
 /** The first random body of at least this size is used: smaller ones barely walk. */
 const RANDOM_VOXELS_MIN = 6;
-const NONE_LEFT = 'A body needs a voxel.';
+const NONE_LEFT = 'A body needs at least one voxel.';
 
 export async function mount(main, path, parameters, app) {
   const walk = new Walk(app);
@@ -117,7 +117,7 @@ export async function mount(main, path, parameters, app) {
     return make('cross', {
       designs: [genotype, other.genotype].map((voxels) => ({ voxels })), pairs: [[0, 1]],
       repair: 'largest',
-    }, 'The two bodies are equal, so no voxel is left.');
+    }, 'The two bodies are identical, so crossing them leaves no voxels.');
   }
 
   function go(way) {
@@ -139,7 +139,7 @@ export async function mount(main, path, parameters, app) {
 
   function keep() {
     if (looseOf(genotype).length) {
-      announce('Every voxel must share a face with another before the body can be kept.');
+      announce('The body must be in one piece before it can be kept.');
       return;
     }
     addToTray([{ genotype, robot: robotOf(genotype), note: walk.score }]);
@@ -182,7 +182,7 @@ export async function mount(main, path, parameters, app) {
 
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Lab'),
-      h('span.muted.keys', {}, 'build at the left, watch at the right: click a face to add a ' +
+      h('span.muted.keys', {}, 'build on the left, watch on the right: click a face to add a ' +
         'voxel, Shift+click to remove it, or drag over the layers to paint'),
       h('div.actions', {}, button('Import', importBody), copyButton(commands))),
     h('div.grid.lab', {}, h('section.panel.stack', { 'aria-label': 'Build' },

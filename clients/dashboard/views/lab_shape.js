@@ -2,6 +2,7 @@
 
 import { FACE_CORNERS, FACE_STEPS, WORKSPACE, cellsOf, hasVoxel } from '../lib/body.js';
 import { announce, button, fill, h, say, svg } from '../lib/dom.js';
+import { voxels } from '../lib/format.js';
 
 /** A pointer that moved farther than this turns the view instead of clicking. */
 const CLICK_PX = 5;
@@ -70,7 +71,8 @@ export class Shape {
     this.genotype = genotype;
     this.loose = loose;
     this.picture.setAttribute('aria-label',
-      `The body in 3-D, ${cellsOf(genotype).length} voxels; the layers have them for the keyboard`);
+      `Body in 3-D, ${voxels(cellsOf(genotype).length)}. To edit it with the keyboard, use the ` +
+      'layers below.');
     this.#draw();
   }
 

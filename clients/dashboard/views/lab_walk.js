@@ -46,7 +46,7 @@ export class Walk {
     player.element.classList.toggle('stale', loose > 0);
     player.setNote(!loose ? '' : this.name
       ? `Still walking: ${this.name}, the last body in one piece`
-      : 'Nothing walks: the body is not in one piece');
+      : 'No robot is walking: the body is not in one piece');
     if (loose) {
       result.textContent = `${size}; no score: ${loose === 1 ? 'one voxel is' :
         `${loose} voxels are`} loose`;

@@ -10,7 +10,7 @@ import { save } from './share.js';
 const LAPSE_S = 10;
 /** More bodies would be shown too briefly. */
 const BODIES_MAX = 64;
-/** With few bodies, each walks to its end; with more, only its first steps would be seen. */
+/** Maximum playback speed: if champions are many, only their first steps are shown. */
 const SPEED_MAX = 4;
 const AT_ONCE = 8;
 
@@ -36,9 +36,9 @@ export class TimeLapse {
     this.found = new Map();
     /** @type {Map<number, any>} robots by the numbers of their designs */
     this.robots = new Map();
-    // Learning changes the scores of the living, and so may a client.
+    // Learning, or the client of a study, can change the scores of living designs.
     this.isFixed = job().settings.learning === null && !job().study;
-    /** What goes on: another number ends it. */
+    /** Number of the current operation; changing it cancels that operation. */
     this.turn = 0;
     this.slider = h('input', { type: 'range', min: 0, max: 0, value: 0, 'aria-label': 'Generation',
       oninput: () => {
@@ -55,8 +55,8 @@ export class TimeLapse {
       h('h2', {}, 'Time-lapse'), h('div.row.lapse', {}, this.play, this.slider, this.film),
       this.said);
     stage.taken = () => this.stop();
-    say(this.said, 'The champion of each generation walks, all of them in ten seconds.' +
-      (job().settings.learning ? ' They have the newest controller.' : ''));
+    say(this.said, 'Play shows the champion of each generation, all in ten seconds.' +
+      (job().settings.learning ? ' All of them walk with the newest controller.' : ''));
   }
 
   /** Sets the generations, also while it plays. */
@@ -139,7 +139,8 @@ export class TimeLapse {
 
   /** @param {Step} step */
   #words({ design, from, to }) {
-    const same = to > from ? `s ${from} to ${to} (the same in ${to - from + 1})` : ` ${from}`;
+    const same = to > from ? `s ${from} to ${to} (same champion for ${to - from + 1} ` +
+      'generations)' : ` ${from}`;
     return `Generation${same}: #${design.number} ${nameOf(design.robot)}, ` +
       `${this.scored(design.score)}`;
   }
@@ -238,7 +239,7 @@ export class TimeLapse {
     this.stop();
   }
 
-  /** Ends what goes on. */
+  /** Cancels the current operation. */
   stop() {
     this.turn++;
     this.ends?.();

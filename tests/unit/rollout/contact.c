@@ -48,8 +48,8 @@ static double search(const struct mo_environment *environment, const double p[3]
   return dt;
 }
 
-/* Up to `highest_m`; every other one is a profile, and of the others every other one a grid of
- * another size, kept until the next. */
+/* Up to `highest_m`; every other one is a profile, and of the others every other one a custom grid,
+ * kept until the next. */
 static struct mo_environment rough(int number, double highest_m)
 {
   struct mo_environment environment = {0};
