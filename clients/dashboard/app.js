@@ -360,8 +360,8 @@ class Frame {
 
   /** Shows the task menu on pages whose scores depend on the task. */
   #offerTasks(on) {
-    if (on) this.caller.after(this.taskField);
-    else this.taskField.remove();
+    if (!on) this.taskField.remove();
+    else if (!this.taskField.isConnected) this.caller.after(this.taskField); // it keeps the focus
   }
 
   /** Uses the task of a link; a link without one has the task of this tab from now on. */

@@ -416,7 +416,7 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
   int error = write_designs(text, arrays, lattice, rollouts);
   mo_text_open(text, "rollouts", "[");
   for (uint32_t i = 0; i < rollouts->n_designs && error == MO_OK; i++)
-    for (uint32_t k = 0; k < n; k++) {
+    for (uint32_t k = 0; k < n && error == MO_OK; k++) {
       const struct mo_rolled *rolled = &rollouts->rollouts[i * n + k];
       mo_text_object(text);
       mo_text_member_count(text, "design", i);

@@ -84,7 +84,7 @@ def test_the_stage_draws_grids(service, browser):
     browser.open(f"stage?evaluation={job['id']}&rows=0")
     browser.until_walking()
     browser.run("import(document.querySelector('script[type=module]').src.replace("
-                "/[^/]*$/, 'stage/stage.js')).then(({ heightAt }) => "
+                "/[^/]*$/, 'stage/math.js')).then(({ heightAt }) => "
                 "Object.assign(window, { heightAt }));")
     browser.until("window.heightAt")
     lowest, off = browser.run(f"""

@@ -17,8 +17,11 @@ const LINES = 34;
 export async function filmOf(player, onprogress) {
   const { stage, canvas, standings: { race, isSlow, slowPart } } = player;
   player.setPlaying(false);
-  const { timeS } = stage;
+  const { timeS, robots } = stage;
   const drawAt = (time) => {
+    if (stage.robots !== robots || player.standings.race !== race) {
+      throw new Error('The stage has changed, so the film was stopped.');
+    }
     stage.timeS = time;
     stage.draw();
   };

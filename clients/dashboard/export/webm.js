@@ -116,20 +116,23 @@ export async function record(canvas, draw, { durationS, rate = 50, onprogress = 
     },
     error: (error) => { failure = error; },
   });
-  encoder.configure(chosen.config);
-  const n = Math.max(1, Math.round(durationS * rate));
-  for (let i = 0; i < n && !failure; i++) {
-    draw(i / rate);
-    const frame = new VideoFrame(canvas, {
-      timestamp: Math.round((i * 1e6) / rate), visibleRect: { x: 0, y: 0, width, height },
-    });
-    encoder.encode(frame, { keyFrame: i % (rate * 2) === 0 });
-    frame.close();
-    while (encoder.encodeQueueSize > 4) await new Promise((resolve) => setTimeout(resolve, 1));
-    onprogress((i + 1) / n);
+  try {
+    encoder.configure(chosen.config);
+    const n = Math.max(1, Math.round(durationS * rate));
+    for (let i = 0; i < n && !failure; i++) {
+      draw(i / rate);
+      const frame = new VideoFrame(canvas, {
+        timestamp: Math.round((i * 1e6) / rate), visibleRect: { x: 0, y: 0, width, height },
+      });
+      encoder.encode(frame, { keyFrame: i % (rate * 2) === 0 });
+      frame.close();
+      while (encoder.encodeQueueSize > 4) await new Promise((resolve) => setTimeout(resolve, 1));
+      onprogress((i + 1) / n);
+    }
+    await encoder.flush();
+    if (failure) throw failure;
+  } finally {
+    if (encoder.state !== 'closed') encoder.close();
   }
-  await encoder.flush();
-  if (failure) throw failure;
-  encoder.close();
   return toWebm(frames, { width, height, rate, codec: chosen.name });
 }

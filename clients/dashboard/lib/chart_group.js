@@ -46,7 +46,9 @@ export class ChartGroup {
 
   /** Shows a range of x in all charts; null: all of it. */
   zoomTo(range) {
-    this.zoom = range?.map((x) => Number(x.toPrecision(6))) ?? null;
+    const rounded = range?.map((x) => Number(x.toPrecision(6))) ?? null;
+    if (rounded && !(rounded[1] > rounded[0])) return; // a link could not name it
+    this.zoom = rounded;
     this.#changed();
   }
 

@@ -52,6 +52,11 @@ export class Events {
     this.listeners.add(listener);
   }
 
+  /** Streams, or stops, as isKept says now. */
+  wake() {
+    this.#change();
+  }
+
   /** Starts after the newest event, so that later reads miss none. Returns its number. */
   async start() {
     const page = await getJson('v1/events?format=json&after=0&limit=1');

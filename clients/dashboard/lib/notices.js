@@ -4,7 +4,11 @@ import { getJson, storing } from './api.js';
 import { announce, toggle } from './dom.js';
 
 const KEY = `morphod-notices ${location.pathname}`;
+const RETRY_MS = 5000;
+const HIDDEN_MS = 1500;
 let kept = [];
+/** The last message, which more runs join while it stands. */
+let notice = '';
 
 /** The ids of the runs. @returns {string[]} */
 const wanted = () => storing(() => JSON.parse(localStorage.getItem(KEY))) ?? kept;
@@ -36,6 +40,8 @@ function notify(text, { id }, link) {
 /** Follows the events of all pages. @param {import('../app.js').app} app */
 export function followNotices(app) {
   app.events.isKept = () => wanted().length > 0;
+  app.events.wake(); // this tab may be hidden from the start
+  addEventListener('storage', ({ key }) => { if (key === KEY) app.events.wake(); });
   app.events.listen(({ type, job }) => {
     if (type === 'reset' || (type === 'job.finished' && wanted().includes(job))) check();
   });
@@ -47,20 +53,25 @@ export function followNotices(app) {
         ({ state: status === 404 ? 'deleted' : 'unknown' }));
       const { isOver, linkOf, stateOf, titleOf } = await import('./kinds.js');
       if (job.state === 'deleted') want(id, false);
+      if (job.state === 'unknown') setTimeout(check, RETRY_MS);
+      // A visible tab is first: without notifications, the others can only change their title.
+      if (document.hidden) await new Promise((resolve) => setTimeout(resolve, HIDDEN_MS));
       if (!isOver(job) || !want(id, false)) return;
       const text = `${titleOf(job)}: ${stateOf(job)}`;
       if (notify(text, job, linkOf(job))) return;
       // Keep the title until the user is back, and show the message only then, because it
       // disappears by itself.
       const isHidden = document.hidden;
-      if (!isHidden) announce(text);
-      app.setNotice(text);
+      notice = notice ? `${notice}; ${text}` : text;
+      if (!isHidden) announce(notice);
+      app.setNotice(notice);
       const back = new AbortController();
       const seen = () => {
         if (document.hidden) return;
         back.abort();
+        if (isHidden && notice) announce(notice);
+        notice = '';
         app.setNotice('');
-        if (isHidden) announce(text);
       };
       for (const sign of ['visibilitychange', 'pointermove', 'keydown']) {
         document.addEventListener(sign, seen, { signal: back.signal });

@@ -111,7 +111,7 @@ export function raceOf(robots) {
     let arrivalS = Infinity;
     const values = Float32Array.from({ length: frames }, (_, frame) => measure(
       centerOfMass(robot, frame), lights ? lights.slice(3 * frame, 3 * frame + 2) : world.light));
-    if (isLower) {
+    if (isLower && robot.loss !== null) { // a diverged robot arrives nowhere
       const at = values.findIndex((value) => value <= ARRIVAL_M);
       const [before, after] = [values[at - 1], values[at]];
       const share = at > 0 ? (before - ARRIVAL_M) / (before - after) : 1;
@@ -139,7 +139,8 @@ export function orderAt({ rows, isLower, isShare, durationS }, timeS) {
     const frame = Math.min(timeS / robot.frameS, robot.frames - 1);
     const [low, high] = [Math.floor(frame), Math.ceil(frame)];
     let value = values[low] + (values[high] - values[low]) * (frame - low);
-    if (isEnd && robot.value !== undefined) value = robot.value ?? -Infinity;
+    if (robot.loss === null && timeS >= durationS) value = NaN;
+    else if (isEnd && robot.value !== undefined) value = robot.value ?? -Infinity;
     if (!Number.isFinite(value)) value = isLower ? Infinity : -Infinity;
     return { robot, value, arrivalS: arrivalS <= timeS ? arrivalS : Infinity };
   });

@@ -28,8 +28,11 @@ export class Standings {
       { title: 'A quarter of the speed around the first arrival, or at the end' });
     this.film = 'VideoEncoder' in window ? button('Film', async () => {
       this.film.disabled = true;
-      await film();
-      this.film.disabled = false;
+      try {
+        await film();
+      } finally {
+        this.film.disabled = false;
+      }
     }, { title: 'Save a film of this race (WebM), with its order' }) : null;
     this.acts = h('div.acts', {}, this.slow, this.film);
     this.element = h('div.names', { hidden: true, role: 'group', 'aria-label': 'Robots' },

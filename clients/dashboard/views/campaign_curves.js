@@ -194,6 +194,7 @@ export class CampaignCurves {
   destroy() {
     Object.values(this.charts).forEach((chart) => chart.destroy());
     this.compared?.destroy();
+    this.lapse?.stop();
     this.stage.destroy();
   }
 }

@@ -24,7 +24,14 @@ export class CampaignStage {
   }
 
   get isEmpty() {
-    return !this.player.stage?.robots.length;
+    return !this.isTaken && !this.player.stage?.robots.length;
+  }
+
+  /** Leaves the stage to others: what was requested for it does not walk any more. */
+  take() {
+    this.turn = (this.turn ?? 0) + 1;
+    this.isTaken = true;
+    this.player.setNote('');
   }
 
   /** Shows designs walking. */
@@ -32,12 +39,17 @@ export class CampaignStage {
     const shown = designs.slice(0, WALKING_MAX);
     if (!shown.length) return;
     this.taken();
+    this.take();
+    this.isTaken = false;
+    const { turn } = this;
     this.player.setNote('Walking…');
     try {
-      this.player.setRobots(await rollOfCampaign(this.job(), shown, this.signal));
+      const robots = await rollOfCampaign(this.job(), shown, this.signal);
+      if (turn !== this.turn) return; // something else was chosen
+      this.player.setRobots(robots);
       this.player.setNote('');
     } catch (error) {
-      if (!this.signal.aborted) this.player.setNote(error.message);
+      if (!this.signal.aborted && turn === this.turn) this.player.setNote(error.message);
     }
   }
 

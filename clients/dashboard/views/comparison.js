@@ -128,8 +128,9 @@ export class Comparison {
       const single = values[i].length === 1 ? replicateOf(campaign) : '';
       return h('tr', {}, h('td', {}, h('a', { href: `#/campaigns/${id}` }, titleOf(campaign)),
         h('div.muted', {}, `campaign ${id}${single}`)),
-      h('td.right', {}, values[i].length), h('td.right', {}, score(mean)),
-      h('td.right', {}, compares ? signed(difference) : '–'),
+      h('td.right', {}, values[i].length),
+      h('td.right', {}, score(Number.isFinite(mean) ? mean : null)),
+      h('td.right', {}, compares && Number.isFinite(difference) ? signed(difference) : '–'),
       h('td.right', {}, compares ? interval : '–'));
     }));
   }

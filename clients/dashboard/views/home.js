@@ -102,7 +102,8 @@ export async function mount(main, path, parameters, app) {
       `&environment=${task.set ? place : SHOWN}` + (isPhoto || !task.set ? '' : `&set=${task.set}`);
     fill(staged, h('strong', {}, 'Watch the best'), h('span', {},
       robots.length === 1 ? 'On a full-page stage.'
-        : `The ${COUNTS[robots.length]} best, side by side or racing, on a full-page stage.`));
+        : `The ${COUNTS[robots.length]} best, side by side or racing, on a full-page stage.`,
+      task.set ? null : ' There they reach for a light: this task has no fixed set of worlds.'));
     const design = { id: robot };
     const computed = roll([design], environments[place], { signal });
     computed.catch(() => {}); // awaited below

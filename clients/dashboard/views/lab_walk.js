@@ -48,6 +48,7 @@ export class Walk {
       ? `Still walking: ${this.name}, the last body in one piece`
       : 'No robot is walking: the body is not in one piece');
     if (loose) {
+      player.hold(false); // a walk that was requested before may hold it
       result.textContent = `${size}; no score: ${loose === 1 ? 'one voxel is' :
         `${loose} voxels are`} loose`;
       return;

@@ -1,6 +1,6 @@
 /** Time-lapse of evolution: the champion of each generation walks, one after the other. */
 
-import { button, h, say } from '../lib/dom.js';
+import { announce, button, h, say } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { countOf, percent } from '../lib/format.js';
 import { nameOf } from '../lib/names.js';
@@ -44,6 +44,7 @@ export class TimeLapse {
       oninput: () => {
         this.stop();
         this.isUsed = true;
+        stage.take();
         this.later();
       } });
     this.later = coalesced(() => this.#trying(() => this.#showOne()), signal, 0);
@@ -54,7 +55,11 @@ export class TimeLapse {
     this.element = h('section.panel.stack', { 'aria-label': 'Time-lapse', hidden: true },
       h('h2', {}, 'Time-lapse'), h('div.row.lapse', {}, this.play, this.slider, this.film),
       this.said);
-    stage.taken = () => this.stop();
+    stage.taken = () => {
+      this.stop();
+      this.isUsed = false;
+    };
+    this.stage = stage;
     say(this.said, 'Play shows the champion of each generation, all in ten seconds.' +
       (job().settings.learning ? ' All of them walk with the newest controller.' : ''));
   }
@@ -77,7 +82,9 @@ export class TimeLapse {
       await work();
     } catch (error) {
       this.stop();
-      if (!this.signal.aborted) say(this.said, error.message);
+      if (this.signal.aborted) return;
+      if (this.element.isConnected) say(this.said, error.message);
+      else announce(error.message); // another tab of the run is shown now
     }
   }
 
@@ -130,9 +137,11 @@ export class TimeLapse {
 
   /** Simulates champions that have not walked yet. */
   async #roll(designs) {
+    const sha = this.job().result?.controller?.sha256;
+    if (this.robots.size > 2 * BODIES_MAX || sha !== this.sha) this.robots.clear();
+    this.sha = sha; // of the controller with which they walk
     const fresh = [...new Map(designs.map((one) => [one.number, one])).values()]
       .filter(({ number }) => !this.robots.has(number));
-    if (this.robots.size > 2 * BODIES_MAX) this.robots.clear();
     const robots = fresh.length ? await rollOfCampaign(this.job(), fresh, this.signal) : [];
     robots.forEach((robot, i) => this.robots.set(fresh[i].number, robot));
   }
@@ -161,6 +170,7 @@ export class TimeLapse {
   /** Gets everything ready to show; null if it was stopped. */
   async #prepare() {
     this.stop();
+    this.stage.take();
     const { turn, player } = this;
     const { speed, playing } = player;
     /** Puts back what the user had chosen. */
