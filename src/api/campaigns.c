@@ -245,7 +245,7 @@ static int check_found(struct mo_request *request, struct mo_post *post, const c
   struct mo_controller_record controller = {0};
   struct mo_campaign_status status;
   struct mo_environment *environments = NULL;
-  uint32_t n;
+  uint32_t n = 0;
   int error = mo_store_campaign(store, request->kept, &status);
   if (error == MO_OK)
     error = mo_store_job_environments(store, request->kept, MO_JOB_CAMPAIGN, &environments, &n);

@@ -45,22 +45,26 @@ int mo_terrain_grid_create(uint32_t columns, uint32_t rows, double spacing_m,
   return MO_OK;
 }
 
-/* The count is the one member that changes. */
-static uint32_t *holders_of(const struct mo_terrain_grid *grid)
+/* The count of holders is the one member that changes. */
+static struct mo_terrain_grid *own_of(const struct mo_terrain_grid *grid)
 {
-  return &((struct mo_terrain_grid *)(uintptr_t)grid)->holders;
+  const union {
+    const struct mo_terrain_grid *shared;
+    struct mo_terrain_grid *own;
+  } pointer = {grid};
+  return pointer.own;
 }
 
 void mo_terrain_grid_hold(const struct mo_terrain_grid *grid)
 {
   if (grid != NULL)
-    __atomic_add_fetch(holders_of(grid), 1, __ATOMIC_RELAXED);
+    __atomic_add_fetch(&own_of(grid)->holders, 1, __ATOMIC_RELAXED);
 }
 
 void mo_terrain_grid_drop(const struct mo_terrain_grid *grid)
 {
-  if (grid != NULL && __atomic_sub_fetch(holders_of(grid), 1, __ATOMIC_ACQ_REL) == 0)
-    free((void *)(uintptr_t)grid);
+  if (grid != NULL && __atomic_sub_fetch(&own_of(grid)->holders, 1, __ATOMIC_ACQ_REL) == 0)
+    free(own_of(grid));
 }
 
 void mo_environments_hold(const struct mo_environment *environments, size_t n)
