@@ -397,7 +397,7 @@ static int get_environment(struct codec *codec, unsigned version,
   codec->at += used;
   if (error != MO_ERR_FORMAT)
     return error;
-  if (used == 0 && version <= MO_ENVIRONMENT_GRID_VERSION)
+  if (used == 0 && version <= MO_ENVIRONMENT_VERSION)
     return cut_off(message, "lease", i);
   return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags, or an invalid grid", i);
 }

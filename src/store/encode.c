@@ -21,20 +21,21 @@ size_t mo_encode_environment(const struct mo_environment *environment, uint8_t *
 
 int mo_decode_environment(const uint8_t *bytes, size_t size, struct mo_environment *environment)
 {
-  unsigned version = 1;
-  size_t used = 0;
-  while (version < MO_ENVIRONMENT_GRID_VERSION &&
-         mo_fields_packed_bytes(&mo_environment_fields, version) < size)
-    version++;
+  int error = MO_ERR_FORMAT;
   *environment = mo_environment_defaults;
   if (bytes == NULL)
     return MO_ERR_CORRUPT;
-  int error = mo_environment_unpack(version, bytes, size, environment, &used);
-  if (error == MO_OK && (used != size || mo_environment_version(environment) != version ||
-                         mo_environment_check(environment, NULL) != MO_OK))
-    error = MO_ERR_FORMAT;
-  if (error != MO_OK)
-    mo_environments_drop(environment, 1);
+  /* Its size does not name the version: a grid has any. */
+  for (unsigned version = 1; version <= MO_ENVIRONMENT_VERSION && error == MO_ERR_FORMAT;
+       version++) {
+    size_t used = 0;
+    error = mo_environment_unpack(version, bytes, size, environment, &used);
+    if (error == MO_OK && (used != size || mo_environment_version(environment) != version ||
+                           mo_environment_check(environment, NULL) != MO_OK))
+      error = MO_ERR_FORMAT;
+    if (error != MO_OK)
+      mo_environments_drop(environment, 1);
+  }
   return error == MO_OK || error == MO_ERR_NO_MEMORY ? error : MO_ERR_CORRUPT;
 }
 

@@ -85,10 +85,10 @@ const struct mo_environment mo_environment_defaults = {0};
 
 unsigned mo_environment_version(const struct mo_environment *environment)
 {
-  if (environment->grid != NULL)
-    return MO_ENVIRONMENT_GRID_VERSION;
   /* Objectives that versions before 5 do not have are packed in this one. */
-  const unsigned least = environment->task.objective > MO_OBJECTIVE_PURSUE ? 5 : 1;
+  const unsigned least = environment->grid != NULL ? MO_ENVIRONMENT_GRID_VERSION
+                         : environment->task.objective > MO_OBJECTIVE_PURSUE ? 5
+                                                                             : 1;
   const unsigned version =
       mo_fields_version(&mo_environment_fields, environment, &mo_environment_defaults);
   return version > least ? version : least;

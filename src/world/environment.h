@@ -28,6 +28,7 @@ extern const struct mo_environment mo_environment_defaults;
  * 6, 16 bytes follow, columns and rows of the grid (uint32_t) and its spacing (double), which are 0
  * without a custom grid, and then its heights (double). */
 #define MO_ENVIRONMENT_GRID_VERSION 6
+#define MO_ENVIRONMENT_VERSION      6 /* the newest: rows that are added later raise it */
 /* Upper bound on the bytes before a grid's heights. */
 #define MO_ENVIRONMENT_HEAD_BYTES (sizeof(struct mo_environment) + 16)
 

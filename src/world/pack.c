@@ -85,7 +85,7 @@ int mo_environment_unpack(unsigned version, const uint8_t *bytes, size_t size,
   struct tail tail;
   *environment = mo_environment_defaults;
   *used = 0;
-  if (version > MO_ENVIRONMENT_GRID_VERSION || head > size)
+  if (version > MO_ENVIRONMENT_VERSION || head > size)
     return MO_ERR_FORMAT;
   *used = head;
   if (!mo_fields_unpack(&mo_environment_fields, version, bytes, environment))
