@@ -275,6 +275,11 @@ def test_the_task_of_the_bar(service, browser):
     browser.run("location.hash = '#/designs'")
     browser.until("document.querySelector('main')?.innerText.includes('morpho-12-walk')")
     assert "#/designs?task=walk" in browser.driver.current_url
+    browser.run("document.querySelector('header select').focus()")
+    for name, words in (("climb", "morpho-12-up"), ("walk", "morpho-12-walk")):
+        choose(name)  # by keyboard, one after the other
+        browser.until(f"document.querySelector('main')?.innerText.includes('{words}')")
+        assert browser.run("return document.activeElement.closest('header select') !== null")
     service.evaluate({"designs": [{"voxels": bar}], "environments": "morpho-12-walk"})
     browser.run("location.hash = '#/'")
     browser.until("/^[\\d.]+ m: Walk$/.test(document.querySelector('.way')?.innerText)")
@@ -283,6 +288,8 @@ def test_the_task_of_the_bar(service, browser):
     assert stage.endswith("&environment=3&set=morpho-12-walk")
     choose("pursue")
     browser.until("document.querySelector('.way')?.innerText.includes('Pursue')")
+    door = browser.texts(".door")[-1]
+    assert "There they reach for a light" in door, door
     assert "This store has no scores to rank for this task" in browser.texts(".home")[0]
     browser.run("location.hash = '#/machines'")
     browser.until("document.querySelector('h1')?.innerText === 'Machines'")

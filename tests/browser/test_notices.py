@@ -97,6 +97,22 @@ def test_a_hidden_tab_is_notified(service, browser, endless, faked):
     browser.until("shown.length")
 
 
+def test_a_tab_that_opens_in_the_background_is_notified(service, browser, endless, faked):
+    faked("granted", "granted")
+    browser.open(f"campaigns/{endless}")
+    browser.until(BUTTON)
+    browser.click("Notify me", "main button")
+    hidden = "Object.defineProperty(document, 'hidden', { get: () => true });"
+    added = browser.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument",
+                                           {"source": hidden})
+    try:
+        browser.open("designs")
+        service.act(endless, "cancel")
+        browser.until("shown.length")
+    finally:
+        browser.driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
+
+
 def test_a_run_that_ended_while_no_tab_was_open(service, browser, endless, faked):
     faked("granted", "granted")
     browser.open(f"campaigns/{endless}")

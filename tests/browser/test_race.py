@@ -145,6 +145,20 @@ def test_arrivals_and_slow_motion(service, browser):
     assert times == pytest.approx([0, part[0], part[0] + 0.1, 4], abs=1e-3)
 
 
+def test_diverged_robots_arrive_nowhere(service, browser):
+    """They have no score, wherever their last finite state was."""
+    browser.open(f"stage?designs={robots_of(service, [DESIGN, LINE])}&environment=2")
+    browser.until("document.querySelector('.stage')?.player?.stage.robots.length === 2")
+    order = module(browser, "stage/race.js", PLAYER + """
+        const [first, second] = stage.robots;
+        const world = { ...first.world, light: stage.placeOf(first).slice(0, 2) };
+        const race = of.raceOf([{ ...first, world, loss: null }, { ...second, world }]);
+        done(of.orderAt(race, race.durationS).map(({ robot, text, isArrived }) =>
+          [robot.loss === null, text, isArrived]));
+    """)
+    assert [lost for lost, _, _ in order] == [False, True] and order[1][1:] == ["–", False]
+
+
 @pytest.mark.parametrize("task, tolerance", [
     ("walk", 0.002), ("circle", 0.01), ("shuttle", 0.03), ("path", 0.03), ("climb", 0.001),
     ("pursue", 0.01), ({"objective": "approach"}, 0.01), ({"guide": {"kind": "ahead"},

@@ -127,6 +127,9 @@ def test_all_diverged(service, browser):
     browser.until(f"{SAID} === 'Every robot diverged, so there is no champion.'")
     slide(browser, 0)
     assert "every robot diverged" in browser.run("return " + SAID)
+    browser.open(f"campaigns/{service.campaign}?compare={id}")
+    browser.until(f"document.querySelector('main').innerText.includes('campaign {id}')")
+    assert "NaN" not in browser.texts("main")[0]
     assert browser.faults() == []
 
 
