@@ -270,3 +270,17 @@ def test_a_film_of_a_race(service, browser):
                                "player.standings.slowPart]")
     assert duration_s == pytest.approx(race_s + 3 * (part[1] - part[0]) + 1.2, abs=0.05)
     assert browser.faults() == []
+
+
+def test_a_film_ends_when_the_stage_changes(service, browser):
+    """Its pictures would show something else than the race."""
+    ids = robots_of(service, [DESIGN, LINE])
+    browser.open(f"stage?designs={ids}&environment=2&show=skin")
+    browser.until("document.querySelector('.stage')?.player?.stage.robots.length === 2")
+    browser.click("Film")
+    browser.click("Side by side")
+    browser.until("document.querySelector('#toast')?.innerText.includes('The stage has changed')")
+    browser.click("Race")
+    button = "[...document.querySelectorAll('button')].find((one) => one.innerText === 'Film')"
+    assert browser.run(f"return {button}.disabled") is False
+    assert browser.faults() == []

@@ -165,3 +165,20 @@ def test_a_film(service, browser):
     browser.until(f"{SAID} === 'The film is saved.'")
     assert browser.run("return saved.type") == "video/webm"
     assert browser.run("return saved.size") > 20000
+
+
+def test_another_choice_keeps_the_stage(service, browser):
+    """The slider was used before: later generations leave what the user chose since then."""
+    id = service.post("/v1/campaigns", CAMPAIGN | {"generations": 90000, "label": "chosen"})["id"]
+    until(lambda: service.get(f"/v1/campaigns/{id}")["progress"]["generation"])
+    shown(browser, id)
+    last = f"Number({LAPSE}.querySelector('input').max)"
+    slide(browser, browser.run(f"return {last}"))
+    browser.run("document.querySelector('.pick .card').click()")
+    card = "document.querySelector('.pick .card').innerText"
+    browser.until(f"{card}.includes({WALKS}.split(' ')[0])")
+    walks = browser.run("return " + WALKS)
+    browser.run(f"window.before = {last}")
+    browser.until(f"{last} > before + 1")
+    assert browser.run("return " + WALKS) == walks
+    service.act(id, "cancel")
