@@ -22,7 +22,7 @@
 #define OVERTAKEN_MAX 8
 
 /* Measured, and rounded up. */
-#define SERVICE_BYTES  (64 * MIB)    /* evaluations, requests, caches of the store */
+#define SERVICE_BYTES  (88 * MIB)    /* evaluations, requests, caches of the store */
 #define LEARNING_BYTES (28 * MIB)    /* weights, Adam, gradient, a checkpoint being written */
 #define SLOT_BYTES     (5 * MIB / 2) /* the gradient of a block */
 #define SCRATCH_BYTES  (12 * MIB)    /* a worker's gradients without the tape */

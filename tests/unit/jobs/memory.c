@@ -26,7 +26,7 @@ SERVICE_CASE(refuses_what_never_fits, 1)
   fake_plan.gradient_delay_us = 1000;
   int64_t id = submit_training(&request); /* without a limit */
   REQUIRE(id > 0);
-  REQUIRE_OK(reopen_in(200 * MIB, false));
+  REQUIRE_OK(reopen_in(224 * MIB, false));
   CHECK_INT(submit_training(&request), MO_ERR_LIMIT);
   CHECK_SAYS(fixture.message, "can have 136 MiB");
   CHECK_SAYS(fixture.message, "max_memory");
@@ -44,7 +44,7 @@ SERVICE_CASE(waits_beside_others, 1)
 {
   struct mo_training_request request = large();
   service.config.max_active_trainings = 3;
-  REQUIRE_OK(reopen_in(300 * MIB, false));
+  REQUIRE_OK(reopen_in(324 * MIB, false));
   fake_plan.gradient_delay_us = 2000;
   int64_t first = submit_training(&request);
   REQUIRE(await_state(first, MO_JOB_RUNNING));
