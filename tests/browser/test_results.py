@@ -130,7 +130,7 @@ def test_jobs_name_their_tasks(service, browser):
     browser.until("/loss [0-9]/.test(document.querySelector('.runs').innerText)")
     cells = {row[1].splitlines()[0]: row for row in browser.run(
         "return [...document.querySelectorAll('main tbody tr')].map((row) =>"
-        "[...row.cells].map((cell) => cell.innerText))")}
+        "[...row.cells].map((cell) => cell.innerText || cell.textContent))")}
     assert cells["downstairs"][4] == "down" and cells["circler"][4] == "travel (turning)"
     assert cells["<b>walkers</b> & others"][4] == "photo"
     value, loss = cells["downstairs"][6].splitlines()

@@ -205,6 +205,8 @@ def test_the_tray_covers_nothing_that_has_the_focus(service, browser):
         select(browser, 2)
         assert browser.run("return document.getElementById('tray').offsetHeight") < 60
         assert browser.run("return document.documentElement.scrollWidth") <= 390
+        browser.until("document.documentElement.style.getPropertyValue('--tray') ==="
+                      "`${document.getElementById('tray').offsetHeight}px`")  # after a frame
         covered = browser.run("""
             const tray = document.getElementById('tray');
             return [...document.querySelectorAll('main a, main button')].filter((e) => {
