@@ -522,7 +522,7 @@ bool mo_json_member(struct mo_json *json, struct mo_json_slice *key)
     return syntax(json, json->at >= json->size ? "the text ends inside an object"
                                                : "a key must be a string in quotes");
   bool plain;
-  struct mo_json_slice raw;
+  struct mo_json_slice raw = {"", 0};
   if (!raw_string(json, &raw, &plain))
     return false;
   if (raw.size > MO_JSON_KEY_BYTES)
