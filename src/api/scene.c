@@ -239,12 +239,12 @@ static void write_environment(struct mo_text *text, struct mo_text *arrays,
 }
 
 /* The midpoint of the positions, and the length of one int16 unit, so that all positions fit. */
-struct grid {
+struct quantum {
   double origin_m[3], unit_m;
 };
 
 /* Returns false if positions are too far apart for the promised error. */
-static bool grid_of(const float (*positions_m)[3], size_t n, struct grid *grid)
+static bool quantum_of(const float (*positions_m)[3], size_t n, struct quantum *quantum)
 {
   double half_m = 0;
   for (int axis = 0; axis < 3; axis++) {
@@ -253,10 +253,10 @@ static bool grid_of(const float (*positions_m)[3], size_t n, struct grid *grid)
       low_m = fminf(low_m, positions_m[i][axis]);
       high_m = fmaxf(high_m, positions_m[i][axis]);
     }
-    grid->origin_m[axis] = ((double)low_m + (double)high_m) / 2;
+    quantum->origin_m[axis] = ((double)low_m + (double)high_m) / 2;
     half_m = fmax(half_m, ((double)high_m - (double)low_m) / 2);
   }
-  grid->unit_m = fmax(half_m, 1e-3) / INT16_MAX;
+  quantum->unit_m = fmax(half_m, 1e-3) / INT16_MAX;
   return half_m <= INT16_HALF_M;
 }
 
@@ -267,8 +267,8 @@ static bool write_int16(struct mo_text *text, struct mo_text *arrays,
 {
   const float(*positions_m)[3] = masses->numbers;
   const size_t n = (size_t)masses->shape[0] * masses->shape[1];
-  struct grid grid;
-  if (n == 0 || !grid_of(positions_m, n, &grid))
+  struct quantum quantum;
+  if (n == 0 || !quantum_of(positions_m, n, &quantum))
     return false;
   int16_t(*numbers)[3] = malloc(n * sizeof(*numbers));
   if (numbers == NULL) {
@@ -278,7 +278,7 @@ static bool write_int16(struct mo_text *text, struct mo_text *arrays,
   for (size_t i = 0; i < n; i++)
     for (int axis = 0; axis < 3; axis++)
       numbers[i][axis] =
-          (int16_t)lrint(((double)positions_m[i][axis] - grid.origin_m[axis]) / grid.unit_m);
+          (int16_t)lrint(((double)positions_m[i][axis] - quantum.origin_m[axis]) / quantum.unit_m);
   struct mo_scene_array array = *masses;
   array.name = "masses_int16";
   array.type = "int16";
@@ -289,10 +289,10 @@ static bool write_int16(struct mo_text *text, struct mo_text *arrays,
   mo_text_open(text, "masses_origin_m", "[");
   for (int axis = 0; axis < 3; axis++) {
     mo_text_add(text, axis > 0 ? "," : "");
-    mo_text_json_number(text, grid.origin_m[axis]);
+    mo_text_json_number(text, quantum.origin_m[axis]);
   }
   mo_text_add(text, "]");
-  mo_text_member_number(text, "masses_unit_m", grid.unit_m);
+  mo_text_member_number(text, "masses_unit_m", quantum.unit_m);
   return true;
 }
 

@@ -1,5 +1,5 @@
 /* content.c: see content.h. Blocks of one job point to the same environments, so environments are
- * told apart by their addresses: comparing at least 528 bytes for each row would cost more than
+ * distinguished by their addresses: comparing at least 528 bytes for each row would cost more than
  * sending some environments twice. */
 #include "fleet/content.h"
 

@@ -18,7 +18,7 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "rows are little-endia
  * once. bytes: mo_encoded_environment_bytes. */
 size_t mo_encode_environment(const struct mo_environment *environment, uint8_t *bytes);
 size_t mo_encoded_environment_bytes(const struct mo_environment *environment);
-/* The caller drops the environment's grid (mo_environments_drop); after an error there is none.
+/* The caller drops the environment's grid (mo_environments_drop); after an error, it has no grid.
  * MO_ERR_CORRUPT: invalid encoding; MO_ERR_NO_MEMORY. */
 int mo_decode_environment(const uint8_t *bytes, size_t size, struct mo_environment *environment);
 

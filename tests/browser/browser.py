@@ -1,6 +1,7 @@
 """A headless Chromium with a running morphod, and requirements of every page."""
 
 import base64
+import contextlib
 import pathlib
 import sys
 import time
@@ -69,6 +70,16 @@ class Browser:
         self.base = f"http://{service.host}:{service.port}/"
         self.run = self.driver.execute_script
 
+    @contextlib.contextmanager
+    def adding(self, script):
+        """Runs a script in each page that is opened meanwhile, before the page's own."""
+        added = self.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument",
+                                            {"source": script})
+        try:
+            yield
+        finally:
+            self.driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
+
     def open(self, view="", theme=None):
         """Shows a view in a new page with an empty Lab and an empty tray."""
         self.driver.get("about:blank")
@@ -77,10 +88,8 @@ class Browser:
                   " sessionStorage.removeItem(`morphod-${name}`);")
         if theme:
             script += f"localStorage.setItem('morphod-theme', '{theme}');"
-        added = self.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument",
-                                            {"source": script})
-        self.driver.get(self.base + "#/" + view)
-        self.driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
+        with self.adding(script):
+            self.driver.get(self.base + "#/" + view)
         self.until("document.querySelector('main h1')")
 
     def until(self, condition, seconds=60):

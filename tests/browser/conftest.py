@@ -54,3 +54,15 @@ def browser(service):
     opened = Browser(service)
     yield opened
     opened.quit()
+
+
+@pytest.fixture(scope="module")
+def still(browser):
+    """Robots stand still until they are asked to walk."""
+    def prefer(value):
+        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {
+            "features": [{"name": "prefers-reduced-motion", "value": value}]})
+
+    prefer("reduce")
+    yield
+    prefer("")

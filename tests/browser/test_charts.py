@@ -11,6 +11,7 @@ from conftest import CAMPAIGN
 from service import run, until
 
 FIGURE = "[...document.querySelectorAll('figure')].find((e) => e.innerText.startsWith('{}'))"
+pytestmark = pytest.mark.usefixtures("still")  # frames would delay what the pointer does
 READOUTS = "[...document.querySelectorAll('.readout')].map((e) => e.innerText)"
 
 
@@ -18,18 +19,6 @@ READOUTS = "[...document.querySelectorAll('.readout')].map((e) => e.innerText)"
 def evolved(service):
     """A campaign with a dozen generations."""
     return run(service, "campaigns", CAMPAIGN | {"generations": 12, "label": "evolved"})["id"]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def still(browser):
-    """Robots stand still: without a GPU, their frames would delay what the pointer does."""
-    def prefer(value):
-        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {
-            "features": [{"name": "prefers-reduced-motion", "value": value}]})
-
-    prefer("reduce")
-    yield
-    prefer("")
 
 
 def figure(browser, title="Score"):

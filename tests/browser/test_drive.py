@@ -178,12 +178,8 @@ window.fetch = (address, { body, ...rest } = {}) => fetched(address,
 def test_joined_windows_are_one_rollout(service, browser):
     """If the light does not move, the frames are those of one rollout, bit for bit."""
     robot = service.evaluate({"designs": [DESIGN]}).json()["results"][0]["robot"]
-    added = browser.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument",
-                                           {"source": EXACT})
-    try:
+    with browser.adding(EXACT):
         browser.open(f"stage?designs={robot}&environment=3")
-    finally:
-        browser.driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
     browser.until_walking()
     browser.run("document.querySelector('.stage').player.setPlaying(true)")
     browser.run("""

@@ -103,14 +103,10 @@ def test_a_tab_that_opens_in_the_background_is_notified(service, browser, endles
     browser.until(BUTTON)
     browser.click("Notify me", "main button")
     hidden = "Object.defineProperty(document, 'hidden', { get: () => true });"
-    added = browser.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument",
-                                           {"source": hidden})
-    try:
+    with browser.adding(hidden):
         browser.open("designs")
         service.act(endless, "cancel")
         browser.until("shown.length")
-    finally:
-        browser.driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
 
 
 def test_a_run_that_ended_while_no_tab_was_open(service, browser, endless, faked):

@@ -198,12 +198,8 @@ def test_robots_appear_as_they_come(service, browser):
     """A race waits for all robots, or for a click; with more than 16, the best have lanes."""
     ids = ",".join(row["robot"] for row in service.evaluate(
         {"random": {"seed": 5, "count": 20}, "physics": {"n_steps": 20}}).json()["results"])
-    added = browser.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument",
-                                           {"source": HOLD})
-    try:
+    with browser.adding(HOLD):
         browser.open(f"stage?designs={ids}&show=skin,trails")
-    finally:
-        browser.driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
     state = PLAYER + """return [stage.robots.length, player.coming.innerText,
         player.playButton.innerText, stage.timeS > 0];"""
     browser.until("document.querySelector('.stage')?.player?.coming.innerText")

@@ -2,6 +2,7 @@
 
 from conftest import CAMPAIGN
 from service import DESIGN, run
+from test_tray import module
 
 WALK = CAMPAIGN | {"label": "on foot", "environments": [{"task": "walk"}]}
 STAGE = "document.querySelector('.stage').player.stage"
@@ -48,56 +49,40 @@ def test_a_form_offers_tasks(service, browser):
     assert browser.faults() == []
 
 
-def test_the_stage_draws_profiles(service, browser):
-    """The ground is that of the recording: its masses stand on it, also where it is not level."""
-    profile = {"kind": "profile", "spacing_m": 0.25,
-               "heights_m": [0.1 * (k % 3) for k in range(24)]}
+def check_ground(service, browser, terrain, height_of):
+    """Compares the ground that the stage draws with the recorded masses, which stand on it, and
+    with the given heights; height_of: computes the drawn height where number k of them is."""
     job = service.evaluate({
         "designs": [DESIGN], "record": ["masses"], "record_stride": 5,
-        "physics": {"n_steps": 200}, "environments": [{"task": "walk", "terrain": profile}]}).json()
+        "physics": {"n_steps": 200}, "environments": [{"task": "walk", "terrain": terrain}]}).json()
     browser.open(f"stage?evaluation={job['id']}&rows=0")
     browser.until_walking()
-    browser.run("import(document.querySelector('script[type=module]').src.replace("
-                "/[^/]*$/, 'stage/math.js')).then(({ heightAt }) => "
-                "Object.assign(window, { heightAt }));")
-    browser.until("window.heightAt")
-    lowest, off = browser.run(f"""
+    lowest, off = module(browser, "stage/math.js", f"""
+        const {{ heightAt }} = of;
         const {{ world, track }} = {STAGE}.robots[0];
         let lowest = Infinity;
         for (let i = 0; i < track.length; i += 3) {{
           lowest = Math.min(lowest, track[i + 2] - heightAt(world, track[i], track[i + 1]));
         }}
-        const off = world.heights.map((h, k) => heightAt(world, k * world.spacing, 9) - h);
-        return [lowest, Math.max(...off.map(Math.abs))];""")
+        const off = world.heights.map((h, k) => {height_of} - h);
+        done([lowest, Math.max(...off.map(Math.abs))]);""")
     assert -1e-5 < lowest < 0.01 and off < 1e-6
     assert browser.faults() == []
+
+
+def test_the_stage_draws_profiles(service, browser):
+    """Also where the ground is not level."""
+    check_ground(service, browser, {"kind": "profile", "spacing_m": 0.25,
+                                    "heights_m": [0.1 * (k % 3) for k in range(24)]},
+                 "heightAt(world, k * world.spacing, 9)")
 
 
 def test_the_stage_draws_grids(service, browser):
-    """Rows are along y and the middle is at the start, as in the recording."""
+    """Rows are along y, and the middle is at the start."""
     rows = [[round(0.02 * ((3 * i + 5 * j) % 7), 2) for i in range(30)] for j in range(20)]
-    job = service.evaluate({
-        "designs": [DESIGN], "record": ["masses"], "record_stride": 5,
-        "physics": {"n_steps": 200}, "environments": [
-            {"task": "walk", "terrain": {"kind": "grid", "spacing_m": 0.25, "heights_m": rows}}
-        ]}).json()
-    browser.open(f"stage?evaluation={job['id']}&rows=0")
-    browser.until_walking()
-    browser.run("import(document.querySelector('script[type=module]').src.replace("
-                "/[^/]*$/, 'stage/math.js')).then(({ heightAt }) => "
-                "Object.assign(window, { heightAt }));")
-    browser.until("window.heightAt")
-    lowest, off = browser.run(f"""
-        const {{ world, track }} = {STAGE}.robots[0];
-        let lowest = Infinity;
-        for (let i = 0; i < track.length; i += 3) {{
-          lowest = Math.min(lowest, track[i + 2] - heightAt(world, track[i], track[i + 1]));
-        }}
-        const off = world.heights.map((h, k) => h - heightAt(world,
-          2.5 + (k % 30 - 14.5) * 0.25, 2.5 + (Math.floor(k / 30) - 9.5) * 0.25));
-        return [lowest, Math.max(...off.map(Math.abs))];""")
-    assert -1e-5 < lowest < 0.01 and off < 1e-6
-    assert browser.faults() == []
+    check_ground(service, browser, {"kind": "grid", "spacing_m": 0.25, "heights_m": rows},
+                 "heightAt(world, 2.5 + (k % 30 - 14.5) * 0.25, "
+                 "2.5 + (Math.floor(k / 30) - 9.5) * 0.25)")
 
 
 def test_a_campaign_shows_meters(service, browser):

@@ -5,21 +5,10 @@ import pytest
 from conftest import CAMPAIGN, make_study
 from service import await_end, run, until
 
+pytestmark = pytest.mark.usefixtures("still")
 LAPSE = "document.querySelector('[aria-label=Time-lapse]')"
 SAID = LAPSE + ".querySelector('p').innerText"
 WALKS = "document.querySelector('.stage').player.stage.robots.map((robot) => robot.label).join()"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def still(browser):
-    """Robots stand still until they are asked to walk."""
-    def prefer(value):
-        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {
-            "features": [{"name": "prefers-reduced-motion", "value": value}]})
-
-    prefer("reduce")
-    yield
-    prefer("")
 
 
 def shown(browser, id):

@@ -149,39 +149,9 @@ static void make_environments(struct mo_environment environments[LANES])
 /* As in the reference, and with the bits of each lane by itself. */
 static void kernels(void)
 {
-  static const uint32_t alone[LANES] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
   struct mo_environment environments[LANES];
-  struct mo_outcome exact[4][LANES];
   make_environments(environments);
-  reference_lives(controller, robots, environments, physics_number, 60, exact);
-  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
-    for (int precision = MO_FLOAT32; precision <= MO_FLOAT64; precision++) {
-      const size_t kept = check_n_kept;
-      const struct mo_pack *pack =
-          make_pack(controller, (enum mo_isa)isa, (enum mo_precision)precision);
-      double worst = 0;
-      for (uint32_t variant = 0; variant < 4; variant++) {
-        const struct mo_body *body = robots[variant].body;
-        const struct mo_physics physics = physics_number(variant, 60);
-        struct mo_outcome outcomes[LANES], turned[LANES], one;
-        uint32_t lanes[LANES];
-        for (uint32_t l = 0; l < LANES; l++)
-          lanes[l] = (5 * l + 3) % LANES;
-        block_of(pack, body, environments, alone, LANES, &physics, outcomes);
-        block_of(pack, body, environments, lanes, LANES, &physics, turned);
-        for (uint32_t k = 0; k < LANES; k++) {
-          block_of(pack, body, environments, alone + k, 1, &physics, &one);
-          CHECK(SAME(&one, &outcomes[k], 1));
-          CHECK(SAME(&turned[k], &outcomes[lanes[k]], 1));
-          CHECK(isfinite(apart(&exact[variant][k], &one))); /* fmax ignores NaN */
-          worst = fmax(worst, apart(&exact[variant][k], &one));
-        }
-      }
-      printf("# %s, %s: within %.1e of the reference\n", mo_isa_name((enum mo_isa)isa),
-             precision == MO_FLOAT32 ? "float32" : "float64", worst);
-      CHECK(worst <= (precision == MO_FLOAT32 ? 1e-4 : 1e-10));
-      check_drop_to(kept);
-    }
+  follow_lives(controller, robots, environments, physics_number, 60);
 }
 
 /* Bodies that blow up: their places are soon infinite or undefined, and no other lane notices. */

@@ -46,6 +46,47 @@ reference_lives(const struct mo_controller *controller, const struct mo_robot *r
   }
 }
 
+/* Rolls every environment out in every kernel, with four settings of physics: close to the
+ * reference, and with the bits of each lane by itself, wherever in the block it is. */
+static inline void
+follow_lives(const struct mo_controller *controller, const struct mo_robot *robots,
+             const struct mo_environment environments[LANES],
+             struct mo_physics (*physics_of_variant)(uint32_t variant, uint32_t n_steps),
+             uint32_t n_steps)
+{
+  static const uint32_t alone[LANES] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  struct mo_outcome exact[4][LANES];
+  reference_lives(controller, robots, environments, physics_of_variant, n_steps, exact);
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
+    for (int precision = MO_FLOAT32; precision <= MO_FLOAT64; precision++) {
+      const size_t kept = check_n_kept;
+      const struct mo_pack *pack =
+          make_pack(controller, (enum mo_isa)isa, (enum mo_precision)precision);
+      double worst = 0;
+      for (uint32_t variant = 0; variant < 4; variant++) {
+        const struct mo_body *body = robots[variant].body;
+        const struct mo_physics physics = physics_of_variant(variant, n_steps);
+        struct mo_outcome outcomes[LANES], turned[LANES], one;
+        uint32_t lanes[LANES];
+        for (uint32_t l = 0; l < LANES; l++)
+          lanes[l] = (5 * l + 3) % LANES;
+        block_of(pack, body, environments, alone, LANES, &physics, outcomes);
+        block_of(pack, body, environments, lanes, LANES, &physics, turned);
+        for (uint32_t k = 0; k < LANES; k++) {
+          block_of(pack, body, environments, alone + k, 1, &physics, &one);
+          CHECK(SAME(&one, &outcomes[k], 1));
+          CHECK(SAME(&turned[k], &outcomes[lanes[k]], 1));
+          CHECK(isfinite(apart(&exact[variant][k], &one))); /* fmax ignores NaN */
+          worst = fmax(worst, apart(&exact[variant][k], &one));
+        }
+      }
+      printf("# %s, %s: within %.1e of the reference\n", mo_isa_name((enum mo_isa)isa),
+             precision == MO_FLOAT32 ? "float32" : "float64", worst);
+      CHECK(worst <= (precision == MO_FLOAT32 ? 1e-4 : 1e-10));
+      check_drop_to(kept);
+    }
+}
+
 /* Checks the gradients of LANES robots on every instruction set, with four settings of physics: at
  * most `most` from the reference, twice that where impacts are bisected. */
 static inline void
