@@ -12,10 +12,11 @@ const LINES = 34;
 /**
  * @param {import('../stage/player.js').Player} player
  * @param {function(number): void} onprogress is called with the fraction done
+ * @param {?import('../stage/race.js').Race} race what was on the stage when the film was requested
  * @returns {Promise<Blob>}
  */
-export async function filmOf(player, onprogress) {
-  const { stage, canvas, standings: { race, isSlow, slowPart } } = player;
+export async function filmOf(player, onprogress, race = player.standings.race) {
+  const { stage, canvas, standings: { isSlow, slowPart } } = player;
   player.setPlaying(false);
   const { timeS, robots } = stage;
   const drawAt = (time) => {

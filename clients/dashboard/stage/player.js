@@ -342,10 +342,11 @@ export class Player {
 
   /** Saves a film, of a race with its order. */
   async #film() {
+    const { race } = this.standings;
     const [{ filmOf }, { save }] = await Promise.all(
       [import('../export/film.js'), import('../views/share.js')]);
     try {
-      save(await filmOf(this, (share) => this.setNote(`Film: ${percent(share)}`)),
+      save(await filmOf(this, (share) => this.setNote(`Film: ${percent(share)}`), race),
         'morphod-race.webm');
     } catch (error) {
       announce(error.message, { isRefusal: true });
