@@ -116,7 +116,7 @@ export async function toPage(robots, title, isRace = false) {
     })),
   };
   const modules = sources.map(inline).join('\n')
-    .replace(/new Program\(gl, ?shaders\./g, 'new Program(gl, ');
+    .replaceAll('new Program(gl, shaders.', 'new Program(gl, ');
   const escaped = title.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
   const html = '<!doctype html><html lang="en"><meta charset="utf-8">' +
     '<meta name="viewport" content="width=device-width">' +

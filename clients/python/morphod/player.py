@@ -49,7 +49,7 @@ def player_of(index: str, scene: Scene, title: str) -> Generator[str | Player, s
     for name in names:
         source = yield f"{assets}/{name}"
         modules.append(_inline(source))
-    script = re.sub(r"new Program\(gl, ?shaders\.", "new Program(gl, ", "\n".join(modules))
+    script = "\n".join(modules).replace("new Program(gl, shaders.", "new Program(gl, ")
     script += _part(page, r"const SCRIPT = `(.*?)`;\n")
     text = html.escape(title)
     yield Player(
