@@ -43,6 +43,7 @@ def test_champions_are_those_of_the_service(service, browser):
     id = run(service, "campaigns", CAMPAIGN | {"generations": 9, "label": "lapse"})["id"]
     best = champions(service, id)
     shown(browser, id)
+    browser.until(LAPSE + ".querySelector('input').value === '9'")  # the newest is chosen at first
     for generation in (0, 9, 4):
         slide(browser, generation)
         design = best[generation]

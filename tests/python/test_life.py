@@ -198,7 +198,8 @@ def test_an_interrupt_names_the_continuing_job(service, m, tmp_path, what, noun)
         assert mine and before is not None
         for id in mine:
             assert f"{noun} {id} continues" in errors and f"morphoctl job cancel {id}" in errors
-        assert "httpcore" not in errors and errors.count("\n") < 25, errors
+        traced = errors[errors.index("Traceback"):]  # before it: lines of progress, as many as come
+        assert "httpcore" not in traced and traced.count("\n") < 10, errors
     finally:
         for id in mine:
             m.request("POST", f"/v1/jobs/{id}/cancel")

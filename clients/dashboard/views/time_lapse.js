@@ -70,7 +70,7 @@ export class TimeLapse {
     const isNewest = slider.value === slider.max;
     this.rows = rows;
     this.element.hidden = !rows.length;
-    slider.max = String(rows.length - 1);
+    slider.max = String(Math.max(0, rows.length - 1));
     slider.disabled = rows.length < 2;
     if (!isNewest || this.ends) return;
     slider.value = slider.max;
