@@ -61,6 +61,7 @@ struct references {
   uint32_t n;
   const struct mo_physics *physics;
   struct mo_outcome *outcomes;
+  double (*measures)[MO_MEASURES]; /* NULL or (n) */
   uint32_t next;
 };
 
@@ -71,17 +72,22 @@ static void *compute_some(void *context)
     const uint32_t i = __atomic_fetch_add(&references->next, 1, __ATOMIC_RELAXED);
     if (i >= references->n)
       return NULL;
+    const struct mo_measuring measuring = {
+        .set = MO_MEASURES_ALL,
+        .values = references->measures != NULL ? references->measures + i : NULL};
     must(mo_rollout_reference(references->robots[i].body, references->controller,
-                              references->robots[i].environment, references->physics, NULL, NULL,
+                              references->robots[i].environment, references->physics, NULL,
+                              references->measures != NULL ? &measuring : NULL,
                               references->outcomes + i),
          "reference");
   }
 }
 
 void compute_references(const struct mo_controller *controller, const struct mo_robot *robots,
-                        uint32_t n, const struct mo_physics *physics, struct mo_outcome *outcomes)
+                        uint32_t n, const struct mo_physics *physics, struct mo_outcome *outcomes,
+                        double (*measures)[MO_MEASURES])
 {
-  struct references references = {controller, robots, n, physics, outcomes, 0};
+  struct references references = {controller, robots, n, physics, outcomes, measures, 0};
   on_threads(sysconf(_SC_NPROCESSORS_ONLN), compute_some, &references);
 }
 
@@ -96,7 +102,7 @@ static void load_references(const char *path, const struct mo_robot *robots, uin
       return;
   }
   struct mo_outcome *outcomes = must_have(calloc(n, sizeof(*outcomes)));
-  compute_references(golden.controller, robots, n, physics, outcomes);
+  compute_references(golden.controller, robots, n, physics, outcomes, NULL);
   for (uint32_t i = 0; i < n; i++)
     loss[i] = outcomes[i].loss;
   free(outcomes);
@@ -376,6 +382,7 @@ void check_short(struct mo_device_controller *controller)
   check_bits(controller, 20, 3, physics_with_period(2));
   check_bits(controller, 20, 3, physics_with(MO_INTEGRATOR_SPLIT, 4));
   check_tasks_short(controller, 9);
+  check_measures_short(controller, 9);
 }
 
 void check_all(struct mo_device_controller *controller, const char *references)
@@ -385,6 +392,7 @@ void check_all(struct mo_device_controller *controller, const char *references)
                           split = physics_with(MO_INTEGRATOR_SPLIT, 4);
   check_sizes(40);
   check_tasks(controller);
+  check_measures(controller);
   check_starts(controller);
   check_golden(controller);
   check_random(controller, "random, exact impact", RANDOM, &every, references);

@@ -23,17 +23,7 @@ static const char *name_of(uint32_t k)
   return name;
 }
 
-/* Rows of n distinct bodies, each in an environment of its own with the next of all tasks. Of four
- * rows with one task, one has a profile, one damage, and one both. */
-struct guided {
-  uint32_t n;
-  struct mo_body **bodies;
-  struct mo_environment *environments;
-  struct mo_robot *robots;
-  struct mo_outcome *outcomes, *truth;
-};
-
-static struct guided make_guided(uint32_t n, uint64_t seed)
+struct guided make_guided(uint32_t n, uint64_t seed)
 {
   struct guided g = {n,
                      random_bodies(golden.lattice, n, seed),
@@ -55,7 +45,7 @@ static struct guided make_guided(uint32_t n, uint64_t seed)
   return g;
 }
 
-static void drop_guided(struct guided *g)
+void drop_guided(struct guided *g)
 {
   free_bodies(g->bodies, g->n);
   free(g->environments);
@@ -90,7 +80,7 @@ void check_tasks_short(struct mo_device_controller *controller, uint32_t n_steps
     physics.scheme.n_steps = n_steps;
     run(kinds[kind].is_passive ? NULL : controller, g.robots, g.n, &physics, g.outcomes);
     compute_references(kinds[kind].is_passive ? NULL : golden.controller, g.robots, g.n, &physics,
-                       g.truth);
+                       g.truth, NULL);
     for (uint32_t i = 0; i < g.n; i++) {
       const struct mo_outcome *own = g.outcomes + i, *truth = g.truth + i;
       const double own_place_m = fmax(fmax(fabs(own->com_end_m[0] - truth->com_end_m[0]),
@@ -125,7 +115,7 @@ static void check_lives(struct mo_device_controller *controller, const char *nam
   double values[LIVES], losses[LIVES], mean = 0;
   uint32_t used = 0, differ = 0;
   run(controller, g.robots, g.n, physics, g.outcomes);
-  compute_references(golden.controller, g.robots, g.n, physics, g.truth);
+  compute_references(golden.controller, g.robots, g.n, physics, g.truth, NULL);
   for (uint32_t i = 0; i < g.n; i++) {
     const struct mo_outcome *own = g.outcomes + i, *truth = g.truth + i;
     if (!isfinite(own->loss) || !isfinite(truth->loss)) {

@@ -2,11 +2,11 @@
  * times.
  *
  * cuda-bench MODULE check [FILE]
- *     agreement, bits, control periods, guides and objectives, profiles, damage, divergence,
- *     cancelling; FILE keeps the float64 losses of rollouts without control periods
+ *     agreement, bits, control periods, guides and objectives, profiles, damage, measures,
+ *     divergence, cancelling; FILE keeps the float64 losses of rollouts without control periods
  * cuda-bench MODULE time
  *     8192 bodies × 10 environments, also with control periods, with tasks, profiles and damage,
- *     evolved bodies, smaller batches
+ *     measured, evolved bodies, smaller batches
  * cuda-bench MODULE spread
  *     8192 bodies × 10 environments on all devices, and in parts on one
  * cuda-bench MODULE short
@@ -87,18 +87,27 @@ void free_rows(struct rows *rows)
   free(rows);
 }
 
-struct mo_device_score run(struct mo_device_controller *controller, const struct mo_robot *robots,
-                           uint32_t n, const struct mo_physics *physics,
-                           struct mo_outcome *outcomes)
+struct mo_device_score run_measured(struct mo_device_controller *controller,
+                                    const struct mo_robot *robots, uint32_t n,
+                                    const struct mo_physics *physics, struct mo_outcome *outcomes,
+                                    double (*measures)[MO_MEASURES])
 {
   struct mo_device_score score = {.controller = controller,
                                   .robots = robots,
                                   .n = n,
                                   .physics = *physics,
-                                  .outcomes = outcomes};
+                                  .outcomes = outcomes,
+                                  .measures = measures};
   memset(outcomes, 0x7f, n * sizeof(*outcomes));
   must(module->score(device, &score), "score");
   return score;
+}
+
+struct mo_device_score run(struct mo_device_controller *controller, const struct mo_robot *robots,
+                           uint32_t n, const struct mo_physics *physics,
+                           struct mo_outcome *outcomes)
+{
+  return run_measured(controller, robots, n, physics, outcomes, NULL);
 }
 
 struct mo_physics physics_with(enum mo_integrator integrator, uint32_t control_steps)
@@ -136,7 +145,7 @@ static uint64_t hash_of(const struct mo_outcome *outcomes, uint32_t n)
 
 static void time_some(struct mo_device_controller *controller, const char *what,
                       const struct mo_physics *physics, struct mo_body **bodies, uint32_t n_bodies,
-                      uint32_t each, double bound_s, int has_tasks, int has_more)
+                      uint32_t each, double bound_s, int has_tasks, int has_more, int is_measured)
 {
   struct rows *rows = make_rows(bodies, n_bodies, each);
   for (uint32_t e = 0; has_tasks && e < MO_PAPER_TEST_COUNT; e++)
@@ -147,15 +156,17 @@ static void time_some(struct mo_device_controller *controller, const char *what,
     rows->environments[e].damage = (struct mo_damage){1 + e % MO_OCTANTS, 2};
   }
   double wall[REPEATS], device_s[REPEATS], host_s[REPEATS], masses = 0, springs = 0, mean = 0;
+  double(*measures)[MO_MEASURES] =
+      is_measured ? must_have(calloc(rows->n, sizeof(*measures))) : NULL;
   for (uint32_t b = 0; b < n_bodies; b++) {
     masses += (double)bodies[b]->n_masses / n_bodies;
     springs += (double)bodies[b]->n_springs / n_bodies;
   }
-  run(controller, rows->robots, rows->n, physics, rows->outcomes);
+  run_measured(controller, rows->robots, rows->n, physics, rows->outcomes, measures);
   for (int i = 0; i < REPEATS; i++) {
     const double start = now_s();
     const struct mo_device_score score =
-        run(controller, rows->robots, rows->n, physics, rows->outcomes);
+        run_measured(controller, rows->robots, rows->n, physics, rows->outcomes, measures);
     wall[i] = now_s() - start;
     device_s[i] = score.device_s;
     host_s[i] = score.host_s;
@@ -170,6 +181,7 @@ static void time_some(struct mo_device_controller *controller, const char *what,
          (unsigned long long)hash_of(rows->outcomes, rows->n));
   if (bound_s > 0)
     expect(together <= bound_s, "%s", what);
+  free(measures);
   free_rows(rows);
 }
 
@@ -177,7 +189,7 @@ static void time_rows(struct mo_device_controller *controller, const char *what,
                       const struct mo_physics *physics, struct mo_body **bodies, uint32_t n_bodies,
                       uint32_t each, double bound_s)
 {
-  time_some(controller, what, physics, bodies, n_bodies, each, bound_s, 0, 0);
+  time_some(controller, what, physics, bodies, n_bodies, each, bound_s, 0, 0, 0);
 }
 
 static void time_all(struct mo_device_controller *controller)
@@ -199,8 +211,15 @@ static void time_all(struct mo_device_controller *controller)
   time_rows(controller, "random bodies, split, period 16 ms, dt 2 ms, 2000 steps", &split, bodies,
             N, 10, 0);
   time_some(controller, "random bodies with tasks, split, period 16 ms, dt 2 ms, 2000 steps",
-            &split, bodies, N, 10, 0, 1, 0);
-  time_some(controller, "the same with profiles and damage", &split, bodies, N, 10, 0, 1, 1);
+            &split, bodies, N, 10, 0, 1, 0, 0);
+  time_some(controller, "the same with profiles and damage", &split, bodies, N, 10, 0, 1, 1, 0);
+  time_some(controller, "random bodies, measured, split, period 16 ms, dt 2 ms, 2000 steps", &split,
+            bodies, N, 10, 0, 0, 0, 1);
+  time_some(controller,
+            "random bodies with tasks, measured, split, period 16 ms, dt 2 ms, 2000 "
+            "steps",
+            &split, bodies, N, 10, 0, 1, 0, 1);
+  time_some(controller, "random bodies, measured, every step", &physics, bodies, N, 10, 0, 0, 0, 1);
   time_rows(controller, "random bodies, split, period 16 ms, dt 4 ms", &quick, bodies, N, 10, 0);
   time_rows(controller, "evolved bodies", &physics, evolved, N, 10, 1.0);
   time_rows(controller, "random bodies", &physics, bodies, N, 1, 0);

@@ -26,14 +26,33 @@ struct rows {
 struct rows *make_rows(struct mo_body *const *bodies, uint32_t n_bodies, uint32_t each);
 void free_rows(struct rows *rows);
 
+/* Rows of n distinct bodies, each in an environment of its own with the next of all tasks. Of four
+ * rows with one task, one has a profile, one damage, and one both. */
+struct guided {
+  uint32_t n;
+  struct mo_body **bodies;
+  struct mo_environment *environments;
+  struct mo_robot *robots;
+  struct mo_outcome *outcomes, *truth;
+};
+struct guided make_guided(uint32_t n, uint64_t seed);
+void drop_guided(struct guided *g);
+
 /* Scores n robots. controller: NULL: passive bodies. */
 struct mo_device_score run(struct mo_device_controller *controller, const struct mo_robot *robots,
                            uint32_t n, const struct mo_physics *physics,
                            struct mo_outcome *outcomes);
+/* The same with measures, (n). */
+struct mo_device_score run_measured(struct mo_device_controller *controller,
+                                    const struct mo_robot *robots, uint32_t n,
+                                    const struct mo_physics *physics, struct mo_outcome *outcomes,
+                                    double (*measures)[MO_MEASURES]);
 
-/* Computes outcomes in float64, on all processors. controller: NULL: passive bodies. */
+/* Computes outcomes in float64, on all processors. controller: NULL: passive bodies. measures: NULL
+ * or (n). */
 void compute_references(const struct mo_controller *controller, const struct mo_robot *robots,
-                        uint32_t n, const struct mo_physics *physics, struct mo_outcome *outcomes);
+                        uint32_t n, const struct mo_physics *physics, struct mo_outcome *outcomes,
+                        double (*measures)[MO_MEASURES]);
 
 /* ---- cuda-check.c ---- */
 /* references: the file of float64 losses that is read, or written; NULL: none. */
@@ -43,5 +62,9 @@ void check_short(struct mo_device_controller *controller); /* a few steps of eve
 /* ---- cuda-tasks.c: guides and objectives, profiles, damage ---- */
 void check_tasks(struct mo_device_controller *controller);
 void check_tasks_short(struct mo_device_controller *controller, uint32_t n_steps);
+
+/* ---- cuda-measures.c ---- */
+void check_measures(struct mo_device_controller *controller);
+void check_measures_short(struct mo_device_controller *controller, uint32_t n_steps);
 
 #endif

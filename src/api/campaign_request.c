@@ -285,9 +285,6 @@ static void check_measures(struct mo_json *json, const struct mo_parsed_campaign
 {
   const struct mo_campaign_record *record = &parsed->request.record;
   const bool selects = record->select_by.is_set;
-  if ((record->measures != 0 || selects) && parsed->parts.job.back_end == MO_ON_DEVICE)
-    mo_json_fault_at(json, 0, selects ? "/select_by" : "/measures",
-                     "measures are computed only on CPUs; request \"cpu\" or \"auto\"");
   if (selects && mo_own_score_is_set(&record->own_score))
     mo_json_fault_at(json, 0, "/select_by",
                      "cannot be combined with own_score; give only one of them");

@@ -217,9 +217,6 @@ static void check_measures(struct mo_json *json, const struct mo_parsed_evaluati
     mo_json_fault_at(json, 0, "/measures",
                      "cannot be combined with verify, which only compares losses; give only one of "
                      "them");
-  if (parsed->parts.job.back_end == MO_ON_DEVICE)
-    mo_json_fault_at(json, 0, "/measures",
-                     "measures are computed only on CPUs; request \"cpu\" or \"auto\"");
 }
 
 /* A suite has several sets, and these work on one. */

@@ -457,8 +457,7 @@ int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
   block->stays = false;
   block->origin = 0;
   if (block->back_end == MO_ON_DEVICE && block->precision == MO_FLOAT32 &&
-      block->recordings == NULL && block->measuring == NULL && block->states.from == NULL &&
-      block->states.to == NULL)
+      block->recordings == NULL && block->states.from == NULL && block->states.to == NULL)
     return compute->core.devices != NULL ? mo_devices_submit(compute->core.devices, block)
                                          : MO_ERR_DEVICE;
   return enqueue(compute, block);

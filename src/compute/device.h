@@ -40,7 +40,7 @@
 extern "C" {
 #endif
 
-#define MO_DEVICE_ABI      9
+#define MO_DEVICE_ABI      10
 #define MO_DEVICE_SHARD    1024 /* consecutive robots whose gradients are one float32 sum */
 #define MO_DEVICE_ROWS_MAX 131072
 
@@ -66,8 +66,10 @@ struct mo_device_score {
   struct mo_physics physics;
   const volatile int *cancel; /* NULL or a flag, read between launches of at most 100 ms */
   /* Results. */
-  struct mo_outcome *outcomes; /* (n) */
-  double host_s, device_s;     /* time of host work and of the device */
+  struct mo_outcome *outcomes;     /* (n) */
+  double (*measures)[MO_MEASURES]; /* NULL, or (n): all measures of each row, as mo_rollout_block
+                                      writes them; they change no other result */
+  double host_s, device_s;         /* time of host work and of the device */
 };
 
 /* Computes gradients of rows, in shards of MO_DEVICE_SHARD consecutive rows (the last one may be

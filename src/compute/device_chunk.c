@@ -5,6 +5,7 @@
  * calls gets three calls of the same size, and all devices finish at about the same time. */
 #include "compute/devices.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -26,6 +27,7 @@ void mo_chunk_destroy(struct mo_chunk *chunk)
   free(chunk->items);
   free(chunk->robots);
   free(chunk->outcomes);
+  free(chunk->measures);
 }
 
 /* ---- taking ---- */
@@ -40,6 +42,7 @@ static bool fits(const struct mo_block *block, void *context)
   const struct room *room = context;
   return block->shards == NULL && block->controller == room->like->controller &&
          block->n_environments <= room->rows &&
+         (block->measuring != NULL) == (room->like->measuring != NULL) &&
          mo_physics_equal(&block->physics, &room->like->physics);
 }
 
@@ -98,6 +101,7 @@ bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk)
   chunk->items[0] = (struct mo_chunk_item){.block = block, .status = MO_CHUNK_NOT_DONE};
   chunk->n_blocks = chunk->n_active = 1;
   chunk->n_rows = 0;
+  chunk->is_measured = block->measuring != NULL;
   if (block->shards != NULL) {
     unit->devices->tasks_waiting--;
     unit->devices->last = chunk->charge.share;
@@ -181,10 +185,24 @@ static void lay_out(struct mo_chunk *chunk)
   }
 }
 
+/* Makes room for measures. Returns false if memory runs out. */
+static bool prepare_measures(struct mo_chunk *chunk)
+{
+  if (chunk->is_measured && chunk->measures == NULL)
+    chunk->measures = malloc(MO_CHUNK_ROWS * sizeof(*chunk->measures));
+  return !chunk->is_measured || chunk->measures != NULL;
+}
+
 void mo_chunk_build(struct mo_chunk *chunk, uint32_t n_threads)
 {
   if (chunk->task != NULL)
     return;
+  if (!prepare_measures(chunk)) {
+    for (uint32_t i = 0; i < chunk->n_active; i++)
+      chunk->items[i].status = MO_ERR_NO_MEMORY;
+    chunk->n_active = 0;
+    return;
+  }
   const uint32_t n = plan_bodies(chunk), enough = 1 + n / BODIES_PER_THREAD;
   mo_parallel(n_threads < enough ? n_threads : enough, chunk->n_active, build_bodies, chunk);
   lay_out(chunk);
@@ -233,10 +251,23 @@ void mo_chunk_end_block(struct mo_devices *devices, struct mo_block *block, int 
   block->done(block, block->context);
 }
 
+/* Copies the measures that a block asks for. */
+static void deliver_measures(const struct mo_chunk *chunk, const struct mo_chunk_item *item)
+{
+  const struct mo_block *block = item->block;
+  for (uint32_t e = 0; e < block->n_environments; e++)
+    for (int k = 0; k < MO_MEASURES; k++)
+      block->measuring->values[e][k] = (block->measuring->set >> k & 1) != 0
+                                           ? chunk->measures[item->first_row + e][k]
+                                           : (double)NAN;
+}
+
 void mo_chunk_deliver(struct mo_devices *devices, struct mo_chunk *chunk)
 {
   for (uint32_t i = 0; i < chunk->n_blocks; i++) {
     const struct mo_chunk_item *item = &chunk->items[i];
+    if (item->block != NULL && item->status == MO_OK && chunk->is_measured && i < chunk->n_active)
+      deliver_measures(chunk, item);
     if (item->block != NULL)
       mo_chunk_end_block(
           devices, item->block, item->status,

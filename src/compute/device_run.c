@@ -268,7 +268,8 @@ static int score(struct mo_caller *caller, struct mo_device_controller *controll
       .n = (last < chunk->n_active ? chunk->items[last].first_row : chunk->n_rows) - row,
       .physics = chunk->items[first].block->physics,
       .cancel = &caller->cancel,
-      .outcomes = chunk->outcomes + row};
+      .outcomes = chunk->outcomes + row,
+      .measures = chunk->is_measured ? chunk->measures + row : NULL};
   const bool is_one = last - first == 1, is_too_large = !is_one && call.n > unit->row_limit;
   int status =
       is_too_large ? MO_ERR_NO_MEMORY : unit->devices->module->score(caller->device, &call);

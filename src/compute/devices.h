@@ -31,13 +31,15 @@ struct mo_chunk_item {
  * gradient. */
 struct mo_chunk {
   struct mo_fair_charge charge;
-  struct mo_device_task *task; /* a gradient; else NULL */
-  uint32_t n_blocks, n_rows;   /* for a gradient: one block */
-  uint32_t n_active;           /* the first blocks, which have rows; the others already have a
-                                  result */
-  struct mo_chunk_item *items; /* (n_blocks) */
-  struct mo_robot *robots;     /* (n_rows) consecutive within a block */
-  struct mo_outcome *outcomes; /* (n_rows) */
+  struct mo_device_task *task;     /* a gradient; else NULL */
+  uint32_t n_blocks, n_rows;       /* for a gradient: one block */
+  uint32_t n_active;               /* the first blocks, which have rows; the others already have a
+                                      result */
+  struct mo_chunk_item *items;     /* (n_blocks) */
+  struct mo_robot *robots;         /* (n_rows) consecutive within a block */
+  struct mo_outcome *outcomes;     /* (n_rows) */
+  double (*measures)[MO_MEASURES]; /* (n_rows) made for the first chunk with measured rows */
+  bool is_measured;
 };
 
 /* Weights on a device. */

@@ -131,16 +131,16 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, cons
                                                        : "the service has no devices");
 }
 
-const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n)
+const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n, bool learns)
 {
-  for (uint32_t i = 0; environments != NULL && i < n; i++)
+  for (uint32_t i = 0; environments != NULL && i < n; i++) {
     if (environments[i].grid != NULL)
       return "GPUs cannot compute terrains of kind \"grid\" yet; request \"cpu\" or \"auto\", or "
              "use terrain_heights_m or a profile";
-  for (uint32_t i = 0; environments != NULL && i < n; i++)
-    if (!mo_task_suits_devices(&environments[i].task))
-      return "devices cannot compute the objectives \"efficient\" and \"jump\" and weighted sums "
+    if (learns && mo_task_has_tally(&environments[i].task))
+      return "devices cannot learn the objectives \"efficient\" and \"jump\" and weighted sums "
              "yet; request \"cpu\" or \"auto\", or environments with other objectives";
+  }
   return NULL;
 }
 

@@ -167,12 +167,10 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
     return MO_ERR_DUPLICATE;
   if (error != MO_OK || *replayed)
     return error;
-  error = mo_back_end_choose(
-      jobs, &request.job,
-      record->measures != 0 ? "devices do not compute measures; request \"cpu\" or \"auto\", or "
-                              "leave out measures and select_by"
-                            : mo_back_end_unsuited(request.environments, record->n_environments),
-      true, message);
+  error = mo_back_end_choose(jobs, &request.job,
+                             mo_back_end_unsuited(request.environments, record->n_environments,
+                                                  mo_modes[record->settings.mode].learns),
+                             true, message);
   if (error == MO_OK)
     error = check_references(jobs, record, message);
   if (error == MO_OK)

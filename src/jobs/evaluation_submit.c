@@ -67,13 +67,12 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
                                &physics, request->tolerance > 0 ? MO_FLOAT64 : request->precision);
   job->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
   const bool suits = !is_interactive && request->precision == MO_FLOAT32 && request->record == 0 &&
-                     request->n_displaced == 0 && request->measures == 0;
+                     request->n_displaced == 0;
   error = mo_back_end_choose(
       jobs, job,
-      suits ? mo_back_end_unsuited(request->environments, request->n_environments)
-            : "devices compute only float32 batches without record, "
-              "error, tolerance or measures; request \"cpu\" or "
-              "\"auto\", or leave those out",
+      suits ? mo_back_end_unsuited(request->environments, request->n_environments, false)
+            : "devices compute only float32 batches without record, error or tolerance; request "
+              "\"cpu\" or \"auto\", or leave those out",
       n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
   if (error == MO_OK && bytes > jobs->config.max_recorded_bytes)
     error = mo_fail(message, MO_ERR_LIMIT,

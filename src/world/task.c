@@ -78,9 +78,9 @@ const char *mo_term_name(uint32_t term)
   return mo_measure_info[term - MO_TERM_MEASURE].name;
 }
 
-bool mo_task_suits_devices(const struct mo_task *task)
+bool mo_task_has_tally(const struct mo_task *task)
 {
-  return task->objective <= MO_OBJECTIVE_PURSUE;
+  return task->objective > MO_OBJECTIVE_PURSUE;
 }
 
 bool mo_task_needs_work(const struct mo_task *task)

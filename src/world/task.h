@@ -4,7 +4,8 @@
 
 #include <morpho/task.h>
 
-/* Returns whether devices compute a task's objective: not efficient, jump and sums. */
-bool mo_task_suits_devices(const struct mo_task *task);
+/* Returns whether a task adds up more than one sum: efficient, jump and weighted sums. Devices
+ * score these, but do not learn them. */
+bool mo_task_has_tally(const struct mo_task *task);
 
 #endif

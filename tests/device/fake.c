@@ -231,8 +231,11 @@ static int fake_score(struct mo_device *device, struct mo_device_score *score)
       environments[lanes] = score->robots[i + lanes].environment;
       lanes++;
     }
+    const struct mo_measuring measuring = {
+        .set = MO_MEASURES_ALL, .values = score->measures != NULL ? score->measures + i : NULL};
     status = mo_rollout_block(device->memory, pack, score->robots[i].body, environments, lanes,
-                              &score->physics, NULL, NULL, &pause, score->outcomes + i);
+                              &score->physics, NULL, score->measures != NULL ? &measuring : NULL,
+                              &pause, score->outcomes + i);
     i += lanes;
   }
   return status;

@@ -259,11 +259,11 @@ MO_COURSE void course_begin(struct mo_course *course, const struct mo_environmen
   case MO_OBJECTIVE_TRAVEL:
   case MO_OBJECTIVE_FOLLOW: course->scale_m = MO_COURSE_TRAVEL_M; break;
   case MO_OBJECTIVE_CLIMB: course->scale_m = MO_COURSE_CLIMB_M; break;
-  default: break; /* refused: plan.c */
+  default: course->scale_m = 1; /* the host has the loss */
   }
 }
 
-/* As mo_course_advance. */
+/* As mo_course_advance, without the tally. */
 MO_COURSE void course_advance(const struct mo_course *course, double t_s, const double com_m[3],
                               struct mo_track *track)
 {
@@ -284,6 +284,86 @@ MO_COURSE void course_advance(const struct mo_course *course, double t_s, const 
     course_off_path(course, track, off_m);
     track->sum += course_length(off_m[0], off_m[1]);
   }
+}
+
+/* ---- the tally of other objectives and of sums, of which the host makes the result ---- */
+
+/* What tallies add up, as in course.c; PEAK is no sum. */
+enum { COURSE_WAY, COURSE_AWAY, COURSE_OFF, COURSE_PATH, COURSE_HEIGHT, COURSE_PEAK };
+
+/* Returns whether a task has a tally. */
+MO_COURSE bool course_has_tally(const struct mo_task *task)
+{
+  return task->objective > MO_OBJECTIVE_PURSUE;
+}
+
+/* As sum_of_term. */
+MO_COURSE unsigned course_need(uint32_t term)
+{
+  switch (term) {
+  case MO_OBJECTIVE_TRAVEL: return 1U << COURSE_WAY;
+  case MO_OBJECTIVE_APPROACH:
+  case MO_OBJECTIVE_PURSUE: return 1U << COURSE_AWAY;
+  case MO_OBJECTIVE_FOLLOW: return 1U << COURSE_OFF;
+  case MO_OBJECTIVE_JUMP: return 1U << COURSE_PEAK;
+  case MO_TERM_MEASURE + MO_MEASURE_PATH_LENGTH:
+  case MO_TERM_MEASURE + MO_MEASURE_MEAN_SPEED:
+  case MO_TERM_MEASURE + MO_MEASURE_STRAIGHTNESS: return 1U << COURSE_PATH;
+  case MO_TERM_MEASURE + MO_MEASURE_MEAN_HEIGHT: return 1U << COURSE_HEIGHT;
+  default: return 0;
+  }
+}
+
+MO_COURSE unsigned course_needs(const struct mo_task *task)
+{
+  unsigned needs = 0;
+  if (task->objective != MO_OBJECTIVE_SUM)
+    return course_need((uint32_t)task->objective);
+  for (uint32_t i = 0; i < task->n_terms; i++)
+    needs |= course_need(task->terms[i]);
+  return needs;
+}
+
+MO_COURSE void course_begin_tally(struct mo_track *track)
+{
+  for (int k = 0; k < 5; k++)
+    track->tally.sums[k] = 0;
+  track->tally.peak_m = -(double)INFINITY;
+  track->tally.soft = 0;
+  track->tally.n_heights = 0;
+}
+
+/* As mo_course_advance, from the instant before to that of `track`, which course_advance has
+ * reached. The smooth maximum of heights is left out: only gradients have it. */
+MO_COURSE void course_add_tally(const struct mo_course *course, double t_s,
+                                const struct mo_track *before, struct mo_track *track)
+{
+  const struct mo_environment *environment = course->environment;
+  const unsigned needs = course_needs(&environment->task);
+  double *sums = track->tally.sums;
+  if ((needs >> COURSE_WAY & 1) != 0) {
+    const double way[2] = {track->com_m[0] - before->com_m[0], track->com_m[1] - before->com_m[1]};
+    sums[COURSE_WAY] += course_dot(way, before->facing);
+  }
+  if ((needs >> COURSE_PATH & 1) != 0)
+    sums[COURSE_PATH] += course_distance(track->com_m, before->com_m);
+  if ((needs >> COURSE_AWAY & 1) != 0) {
+    double light_m[2];
+    course_light_xy(course, t_s, track, light_m);
+    sums[COURSE_AWAY] += course_distance(track->com_m, light_m);
+  }
+  if ((needs >> COURSE_OFF & 1) != 0) {
+    double off_m[2];
+    course_off_path(course, track, off_m);
+    sums[COURSE_OFF] += course_length(off_m[0], off_m[1]);
+  }
+  if ((needs >> COURSE_HEIGHT & 1) != 0) {
+    const struct terrain_map map = terrain_map_of(environment);
+    sums[COURSE_HEIGHT] += track->com_m[2] - terrain_height(&map, environment->terrain_heights_m,
+                                                            track->com_m[0], track->com_m[1]);
+  }
+  if ((needs >> COURSE_PEAK & 1) != 0 && t_s >= fmin(MO_JUMP_FROM_S, course->end_s) - 1e-9)
+    track->tally.peak_m = fmax(track->tally.peak_m, track->com_m[2]);
 }
 
 /* ---- the result ---- */
@@ -316,7 +396,7 @@ MO_COURSE struct course_result course_finish(const struct mo_course *course,
     result.value = track->before_m + track->along_m - track->sum / course->n_periods;
     break;
   case MO_OBJECTIVE_CLIMB: result.value = track->com_m[2] - course->start_m[2]; break;
-  default: break; /* refused: plan.c */
+  default: break; /* the host has the result */
   }
   x = fmin(fmax(-result.value / course->scale_m, -MO_COURSE_EXPONENT_MAX), MO_COURSE_EXPONENT_MAX);
   result.loss = x <= 0 ? course_exp(x) : 1 / course_exp(-x);
@@ -390,7 +470,7 @@ MO_COURSE void course_end_back(const struct mo_course *course, const struct mo_t
     adjoint->d_sum = loss / course->scale_m / course->n_periods;
     break;
   case MO_OBJECTIVE_CLIMB: d_com[2] = -loss / course->scale_m; break;
-  default: break; /* refused: plan.c */
+  default: break; /* refused: gradient_plan.c */
   }
   course_sum_back(course, course->end_s, before, track, adjoint->d_sum, d_com);
   course_progress_back(track, adjoint, d_com);

@@ -82,7 +82,7 @@ struct mo_device {
   int *cancel; /* in pinned memory; read by running kernels */
   int *cancel_on_device;
   /* On the device. */
-  mo_cuda_buffer plan, velocities, outcomes, generators, counter, guided;
+  mo_cuda_buffer plan, velocities, outcomes, generators, counter, guided, lengths, inverted;
   /* Pinned memory of the host. */
   mo_cuda_buffer staged_plan, staged_outcomes, staged_generators;
   double generators_dt_s; /* the dt of the `generators_steps` steps in `generators` */

@@ -316,7 +316,7 @@ static void form_shards(void *context, size_t first, size_t end)
     for (uint32_t i = 0; i < s->n; i++) {
       const struct mo_environment *environment = s->robots[s->first + i].environment;
       if (s->status == MO_OK &&
-          (environment->grid != NULL || !mo_task_suits_devices(&environment->task)))
+          (environment->grid != NULL || mo_task_has_tally(&environment->task)))
         s->status = MO_ERR_UNSUPPORTED;
       s->is_special |= mo_environment_is_special(environment);
       s->has_damage |= environment->damage.cut != 0;

@@ -50,7 +50,8 @@ void close(mo_device *device)
   cudaSetDevice(device->index);
   mo_cuda_gradient_close(device);
   mo_cuda_buffer *const buffers[] = {&device->plan,       &device->velocities, &device->outcomes,
-                                     &device->generators, &device->counter,    &device->guided};
+                                     &device->generators, &device->counter,    &device->guided,
+                                     &device->lengths,    &device->inverted};
   mo_cuda_buffer *const pinned[] = {&device->staged_plan, &device->staged_outcomes,
                                     &device->staged_generators};
   for (mo_cuda_buffer *buffer : buffers)

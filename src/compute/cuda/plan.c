@@ -175,12 +175,13 @@ static struct mo_plan_body measure(const struct mo_plan *plan, const struct mo_b
 
 static void lay_out(struct mo_plan *plan)
 {
-  uint32_t n_quads = 0, n_masses = 0;
+  uint32_t n_quads = 0, n_masses = 0, n_voxels = 0;
   for (uint32_t b = 0; b < plan->n_bodies; b++) {
     plan->headers[b].first_quad = n_quads;
     plan->headers[b].first_mass = n_masses;
     n_quads += quads_at_most(plan->bodies[b]);
     n_masses += plan->bodies[b]->n_masses;
+    n_voxels += plan->bodies[b]->n_voxels;
   }
   struct mo_plan_block *block = &plan->block;
   size_t used = 0;
@@ -199,6 +200,10 @@ static void lay_out(struct mo_plan *plan)
   block->columns = place(&used, (size_t)plan->n_groups * MO_PLAN_TILES_MAX, sizeof(uint16_t));
   block->tasks =
       place(&used, plan->is_special ? plan->n_environments : 0, sizeof(struct mo_environment));
+  const uint32_t some = plan->observes ? 1 : 0;
+  block->rest = place(&used, (size_t)some * n_masses, sizeof(struct mo_plan_rest));
+  block->voxels = place(&used, (size_t)some * plan->n_bodies, sizeof(struct mo_plan_voxels));
+  block->corners = place(&used, (size_t)some * n_voxels, sizeof(struct mo_plan_corners));
   block->bytes = used;
 }
 
@@ -266,8 +271,11 @@ static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *
   plan->n_bodies = bodies->n;
   plan->n_environments = environments->n;
   for (uint32_t e = 0; e < plan->n_environments; e++) {
-    if (plan->environments[e]->grid != NULL || !mo_task_suits_devices(&plan->environments[e]->task))
+    if (plan->environments[e]->grid != NULL)
       return MO_ERR_UNSUPPORTED;
+    const struct mo_task *task = &plan->environments[e]->task;
+    plan->has_tally |= mo_task_has_tally(task);
+    plan->observes |= mo_task_needs_work(task) || mo_task_measures(task) != 0;
     plan->is_special |= mo_environment_is_special(plan->environments[e]);
     plan->has_damage |= plan->environments[e]->damage.cut != 0;
   }
@@ -303,10 +311,11 @@ static size_t carve_plan(struct mo_plan *plan, struct distinct *bodies,
 }
 
 int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n,
-                   const struct mo_physics *physics)
+                   const struct mo_physics *physics, bool observes)
 {
   struct distinct bodies, environments;
-  *plan = (struct mo_plan){.robots = robots, .n = n, .physics = physics};
+  *plan = (struct mo_plan){
+      .robots = robots, .n = n, .physics = physics, .is_special = observes, .observes = observes};
   plan->memory = malloc(carve_plan(plan, &bodies, &environments, NULL));
   if (plan->memory == NULL)
     return MO_ERR_NO_MEMORY;
@@ -595,6 +604,24 @@ static uint32_t input_tiles_of(const struct mo_plan *plan, const struct mo_plan_
   return tiles;
 }
 
+/* Fills the tables of observe.h for a share of the bodies. */
+static void fill_tables(const struct mo_plan *plan, char *base, uint32_t share, uint32_t n_shares)
+{
+  const struct mo_plan_block *block = &plan->block;
+  struct mo_plan_rest *rest = (struct mo_plan_rest *)(void *)(base + block->rest);
+  struct mo_plan_voxels *voxels = (struct mo_plan_voxels *)(void *)(base + block->voxels);
+  struct mo_plan_corners *corners = (struct mo_plan_corners *)(void *)(base + block->corners);
+  uint32_t first = 0;
+  for (uint32_t b = 0; b < plan->n_bodies; first += plan->bodies[b++]->n_voxels) {
+    const uint32_t first_mass = plan->headers[b].first_mass;
+    if (b % n_shares != share)
+      continue;
+    voxels[b] = (struct mo_plan_voxels){first, plan->bodies[b]->n_voxels};
+    mo_observe_tables(plan->bodies[b], (const uint8_t *)(base + block->ranks) + first_mass,
+                      rest + first_mass, corners + first);
+  }
+}
+
 /* Fills share `share` of n: every n-th body, environment and group, starting with that number,
  * because the first ones are larger. */
 static void fill_share(const struct mo_plan *plan, void *memory, uint32_t share, uint32_t n_shares)
@@ -616,6 +643,8 @@ static void fill_share(const struct mo_plan *plan, void *memory, uint32_t share,
               ranks + header.first_mass, inputs + (size_t)b * MO_PLAN_INPUTS);
     bodies[b] = header;
   }
+  if (plan->observes)
+    fill_tables(plan, base, share, n_shares);
   for (uint32_t e = share; e < plan->n_environments; e += n_shares) {
     memcpy(environments[e].heights_m, plan->environments[e]->terrain_heights_m,
            sizeof(environments[e].heights_m));

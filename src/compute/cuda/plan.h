@@ -6,11 +6,37 @@
 #ifndef MORPHO_COMPUTE_CUDA_PLAN_H
 #define MORPHO_COMPUTE_CUDA_PLAN_H
 
+#include "compute/cuda/observe.h"
 #include "compute/cuda/plan_block.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
+
+/* Offsets in the block in bytes, each a multiple of 256. */
+struct mo_plan_block {
+  size_t environments; /* struct mo_plan_environment (n_environments) */
+  size_t bodies;       /* struct mo_plan_body (n_bodies) */
+  size_t pairs;        /* struct mo_plan_pairs (n_bodies) */
+  size_t links;        /* uint32_t (…, MO_PLAN_LINKS) */
+  size_t masses;       /* uint32_t (all bodies' masses) */
+  size_t ranks;        /* uint8_t (all bodies' masses): the device's number of the body's mass i */
+  size_t inputs;       /* uint8_t (n_bodies, MO_PLAN_INPUTS): at MO_PLAN_INPUT_OF, the place of the
+                          mass's sensor in the first layer's inputs */
+  size_t groups;       /* struct mo_plan_group (n_groups) */
+  size_t parts;        /* struct mo_plan_part */
+  size_t rows;         /* struct mo_plan_row (n) */
+  size_t tiles;        /* struct mo_plan_tile (n_groups, MO_PLAN_TILES_MAX) */
+  size_t columns; /* uint16_t (n_groups, MO_PLAN_TILES_MAX): bit c: column c has one of the tile's
+                     springs */
+  size_t tasks;   /* struct mo_environment (n_environments), as course.cuh reads them; none if no
+                     row is special */
+  /* None if rows are not observed (observe.h). */
+  size_t rest;    /* struct mo_plan_rest (all bodies' masses) */
+  size_t voxels;  /* struct mo_plan_voxels (n_bodies) */
+  size_t corners; /* struct mo_plan_corners (all bodies' voxels) */
+  size_t bytes;
+};
 
 struct mo_plan_options {
   uint32_t rows;       /* desired rows per group, 1 … MO_PLAN_ROWS_MAX */
@@ -24,7 +50,9 @@ struct mo_plan_options {
 
 struct mo_plan {
   uint32_t n, n_bodies, n_environments, n_groups, n_parts;
-  bool is_special; /* some environment is */
+  bool is_special; /* some environment is, or rows are observed */
+  bool observes;   /* the block has the tables of observe.h */
+  bool has_tally;  /* some environment's task has one (course.cuh) */
   bool has_damage; /* some environment cuts springs */
   struct mo_plan_block block;
   /* The plan's own memory, one allocation. */
@@ -53,10 +81,11 @@ struct mo_plan {
  * everything they point to and `physics` must stay valid until the plan is freed. It may also be
  * freed after an error. */
 
-/* Finds the distinct bodies and environments (by address). MO_ERR_UNSUPPORTED: a body of a
+/* Finds the distinct bodies and environments (by address). observes: rows are observed even if no
+ * task needs it. MO_ERR_UNSUPPORTED: a body of a
  * workspace other than the default; MO_ERR_NO_MEMORY. */
 int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n,
-                   const struct mo_physics *physics);
+                   const struct mo_physics *physics, bool observes);
 void mo_plan_free(struct mo_plan *plan);
 
 /* Measures the bodies, on up to n_threads threads. */

@@ -122,27 +122,6 @@ struct mo_plan_environment {
   struct mo_plan_special special;
 };
 
-/* Offsets in the block in bytes, each a multiple of 256. */
-struct mo_plan_block {
-  size_t environments; /* struct mo_plan_environment (n_environments) */
-  size_t bodies;       /* struct mo_plan_body (n_bodies) */
-  size_t pairs;        /* struct mo_plan_pairs (n_bodies) */
-  size_t links;        /* uint32_t (…, MO_PLAN_LINKS) */
-  size_t masses;       /* uint32_t (all bodies' masses) */
-  size_t ranks;        /* uint8_t (all bodies' masses): the device's number of the body's mass i */
-  size_t inputs;       /* uint8_t (n_bodies, MO_PLAN_INPUTS): at MO_PLAN_INPUT_OF, the place of the
-                          mass's sensor in the first layer's inputs */
-  size_t groups;       /* struct mo_plan_group (n_groups) */
-  size_t parts;        /* struct mo_plan_part */
-  size_t rows;         /* struct mo_plan_row (n) */
-  size_t tiles;        /* struct mo_plan_tile (n_groups, MO_PLAN_TILES_MAX) */
-  size_t columns; /* uint16_t (n_groups, MO_PLAN_TILES_MAX): bit c: column c has one of the tile's
-                     springs */
-  size_t tasks;   /* struct mo_environment (n_environments), as course.cuh reads them; none if no
-                     row is special */
-  size_t bytes;
-};
-
 /* The index of the device's mass m in a body's list of inputs: sixteen lanes sense a row, and the
  * masses l, l + 16, … of lane l are adjacent. */
 #define MO_PLAN_INPUT_OF(m) ((m) % 16 * 16 + (m) / 16)

@@ -4,6 +4,7 @@
 
 #include "compute/cuda/course.cuh"
 #include "compute/cuda/lane.cuh"
+#include "compute/cuda/observe.cuh"
 #include "compute/cuda/plan_block.h"
 #include "compute/cuda/weights.h"
 
@@ -58,6 +59,17 @@ struct mo_cuda_tasks {
   uint32_t n_periods;
 };
 
+/* What a launch needs in addition to measure its rows. */
+struct mo_cuda_measures {
+  const mo_plan_rest *rest;
+  const mo_plan_voxels *voxels;
+  const mo_plan_corners *corners;
+  mo_observed_row *observed; /* by the caller's row */
+  float *lengths;            /* (blocks, max_lengths) of the period before */
+  uint32_t *inverted;        /* (blocks, MO_PLAN_ROWS_MAX, MO_PLAN_VOXEL_WORDS) voxels, as bits */
+  uint32_t max_lengths;
+};
+
 /* A kernel: rows per group, blocks per multiprocessor, the memory of a group (mo_plan_options), and
  * how to launch it. */
 struct mo_cuda_score_kernel {
@@ -66,11 +78,11 @@ struct mo_cuda_score_kernel {
   cudaError_t (*prepare)(); /* once per device */
   cudaError_t (*launch)(const mo_cuda_score &score, uint32_t blocks, cudaStream_t stream);
 };
-/* The same kernel for special rows. */
+/* The same kernel for special rows. measures: NULL, or for all rows. */
 struct mo_cuda_tasks_kernel {
   cudaError_t (*prepare)();
-  cudaError_t (*launch)(const mo_cuda_score &score, const mo_cuda_tasks &tasks, uint32_t blocks,
-                        cudaStream_t stream);
+  cudaError_t (*launch)(const mo_cuda_score &score, const mo_cuda_tasks &tasks,
+                        const mo_cuda_measures *measures, uint32_t blocks, cudaStream_t stream);
 };
 /* Kernels for any device, and for devices of one capability. */
 extern const mo_cuda_score_kernel mo_cuda_score_narrow, mo_cuda_score_wide;

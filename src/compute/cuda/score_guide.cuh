@@ -58,11 +58,25 @@ __device__ __noinline__ void begin_tasks(const mo_cuda_tasks &k)
     mo_course course;
     mo_track track;
     course_begin(&course, own.environment, k.end_s, k.n_periods, com_m, &track);
+    course_begin_tally(&track);
     place_light(course, 0, track);
     own.state->course = course;
     own.state->track = track;
   }
   __syncthreads();
+}
+
+/* Advances a track to the next instant. */
+__device__ __forceinline__ void advance(const mo_course &course, double t_s,
+                                        const double (&com_m)[3], mo_track &track)
+{
+  if (course_has_tally(&course.environment->task)) {
+    const mo_track before = track;
+    course_advance(&course, t_s, com_m, &track);
+    course_add_tally(&course, t_s, &before, &track);
+  } else {
+    course_advance(&course, t_s, com_m, &track);
+  }
 }
 
 /* At the start of a control period other than the first. The masses are where the step starts. */
@@ -83,7 +97,7 @@ __device__ __noinline__ void guide_rows(const mo_cuda_tasks &k, uint32_t step)
     const double com_m[3] = {(double)com[0] + MO_WORLD_CENTER_M, (double)com[1] + MO_WORLD_CENTER_M,
                              (double)com[2]};
     mo_track track = own.state->track;
-    course_advance(&own.state->course, t_s, com_m, &track);
+    advance(own.state->course, t_s, com_m, track);
     place_light(own.state->course, t_s, track);
     own.state->track = track;
   }
@@ -102,8 +116,9 @@ __device__ __noinline__ void end_tasks(const mo_cuda_tasks &k)
     const double *end_m = own.outcome->com_end_m;
     const double com_m[3] = {end_m[0], end_m[1], end_m[2]};
     mo_track track = own.state->track;
-    course_advance(&own.state->course, k.end_s, com_m, &track);
+    advance(own.state->course, k.end_s, com_m, track);
     result = course_finish(&own.state->course, &track);
+    own.state->track = track; /* the host reads those with a tally */
   }
   *own.result = result;
 }
@@ -122,15 +137,32 @@ struct Plain {
   __device__ __forceinline__ void guide(const mo_cuda_score &, uint32_t) const
   {
   }
+  __device__ __forceinline__ void keep_lengths(const Memory &, uint32_t) const
+  {
+  }
+  __device__ __forceinline__ void observe(const mo_cuda_score &, uint32_t) const
+  {
+  }
+  __device__ __forceinline__ void touches(Shared &, uint32_t, uint32_t) const
+  {
+  }
+  /* Returns whether this thread's row has become insane. */
+  __device__ __forceinline__ bool end_step(const mo_cuda_score &, Shared &shared, uint32_t) const
+  {
+    return threadIdx.x < shared.plan.n_rows && shared.insane[threadIdx.x] != 0;
+  }
   __device__ __forceinline__ void end() const
   {
   }
 };
 
-struct Tasks {
+struct Tasks : Plain {
   static constexpr bool kSpecial = true;
   const mo_cuda_tasks &k;
 
+  __device__ __forceinline__ explicit Tasks(const mo_cuda_tasks &tasks) : k(tasks)
+  {
+  }
   /* environment: its number in the launch. */
   __device__ __forceinline__ terrain_map map_of(uint32_t environment) const
   {

@@ -15,17 +15,18 @@
  * multiprocessor, so that the physics of one runs alongside the products of the other
  * (score_think_narrow.cuh, which is included first). For capability 9.0: 512 threads and at most 80
  * rows, for which the weights are loaded once, not twice (score_think_wide.cuh). Launches in which
- * some row is special, with a task, a profile or damage, have kernels of their own (MO_CUDA_TASKS,
- * score_guide.cuh). */
+ * some row is special, with a task, a profile or damage, or in which all rows are measured, have
+ * kernels of their own (MO_CUDA_TASKS, score_guide.cuh, score_observe.cuh). */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 
 #include "compute/cuda/score_guide.cuh"
 #include "compute/cuda/score_move.cuh"
+#include "compute/cuda/score_observe.cuh"
 
 namespace {
 
-/* TASKS: Plain, or Tasks if some row is special. */
+/* TASKS: Plain; Tasks if some row is special; Measured if all rows are measured. */
 template <bool SPLIT, class TASKS>
 __device__ __forceinline__ void live_of(const mo_cuda_score &score, const TASKS &tasks)
 {
@@ -75,6 +76,7 @@ __device__ __forceinline__ void live_of(const mo_cuda_score &score, const TASKS 
           how.before = velocity;
           how.coasts = false;
         }
+        tasks.keep_lengths(memory, step);
         const Start start = thread < MO_HIDDEN ? load_start(score, step) : Start{};
         sense<true>(score, shared, sensor, memory.position, memory.x, step);
         if (thread < MO_HIDDEN)
@@ -86,16 +88,17 @@ __device__ __forceinline__ void live_of(const mo_cuda_score &score, const TASKS 
       } else {
         sense<false>(score, shared, sensor, memory.position, memory.x, step);
       }
+      tasks.observe(score, step);
       pull<SPLIT, TASKS::kSpecial>(shared, memory.position, memory.lengths, velocity, how, step);
       if (thread == 0 && step % kCancelSteps == 0 && *score.cancel != 0)
         shared.cancelled = 1;
       if (!__syncthreads_or(thread < n_rows && shared.diverged[thread] == 0) || shared.cancelled)
         break;
-      move<SPLIT, TASKS::kSpecial>(score, shared, memory.position, velocity, before);
+      move<SPLIT>(score, shared, tasks, memory.position, velocity, before);
       __syncthreads();
       if (SPLIT && step == 0)
         set_kicks(shared, false);
-      if (thread < n_rows && shared.insane[thread] != 0 && shared.diverged[thread] == 0) {
+      if (tasks.end_step(score, shared, step) && shared.diverged[thread] == 0) {
         shared.diverged[thread] = (int)(step + 1);
         mo_cuda_outcome *outcome = score.outcomes + score.rows[shared.plan.first_row + thread].row;
         for (int axis = 0; axis < 3; axis++)
@@ -109,6 +112,18 @@ __device__ __forceinline__ void live_of(const mo_cuda_score &score, const TASKS 
   }
 }
 
+/* Lets kernels use the memory of a block. */
+template <class... Kernels> cudaError_t prepare(Kernels... kernels)
+{
+  cudaError_t status = cudaSuccess;
+  ((status = status != cudaSuccess
+                 ? status
+                 : cudaFuncSetAttribute(kernels, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                        MO_CUDA_BYTES)),
+   ...);
+  return status;
+}
+
 #ifdef MO_CUDA_TASKS
 
 template <bool SPLIT>
@@ -116,24 +131,34 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
     live_with_tasks(const __grid_constant__ mo_cuda_score score,
                     const __grid_constant__ mo_cuda_tasks tasks)
 {
-  live_of<SPLIT>(score, Tasks{tasks});
+  live_of<SPLIT>(score, Tasks(tasks));
+}
+
+template <bool SPLIT>
+__global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
+    live_measured(const __grid_constant__ mo_cuda_score score,
+                  const __grid_constant__ mo_cuda_tasks tasks,
+                  const __grid_constant__ mo_cuda_measures measures)
+{
+  live_of<SPLIT>(score, Measured(tasks, measures));
 }
 
 cudaError_t prepare_live()
 {
-  const cudaError_t status = cudaFuncSetAttribute(
-      live_with_tasks<false>, cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
-  return status != cudaSuccess
-             ? status
-             : cudaFuncSetAttribute(live_with_tasks<true>,
-                                    cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
+  return prepare(live_with_tasks<false>, live_with_tasks<true>, live_measured<false>,
+                 live_measured<true>);
 }
 
-cudaError_t launch_live(const mo_cuda_score &score, const mo_cuda_tasks &tasks, uint32_t blocks,
-                        cudaStream_t stream)
+cudaError_t launch_live(const mo_cuda_score &score, const mo_cuda_tasks &tasks,
+                        const mo_cuda_measures *measures, uint32_t blocks, cudaStream_t stream)
 {
-  const auto kernel = score.splits ? live_with_tasks<true> : live_with_tasks<false>;
-  kernel<<<blocks, MO_CUDA_THREADS, MO_CUDA_BYTES, stream>>>(score, tasks);
+  if (measures != nullptr) {
+    const auto kernel = score.splits ? live_measured<true> : live_measured<false>;
+    kernel<<<blocks, MO_CUDA_THREADS, MO_CUDA_BYTES, stream>>>(score, tasks, *measures);
+  } else {
+    const auto kernel = score.splits ? live_with_tasks<true> : live_with_tasks<false>;
+    kernel<<<blocks, MO_CUDA_THREADS, MO_CUDA_BYTES, stream>>>(score, tasks);
+  }
   return cudaGetLastError();
 }
 
@@ -151,12 +176,7 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
 
 cudaError_t prepare_live()
 {
-  const cudaError_t status =
-      cudaFuncSetAttribute(live<false>, cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
-  return status != cudaSuccess
-             ? status
-             : cudaFuncSetAttribute(live<true>, cudaFuncAttributeMaxDynamicSharedMemorySize,
-                                    MO_CUDA_BYTES);
+  return prepare(live<false>, live<true>);
 }
 
 cudaError_t launch_live(const mo_cuda_score &score, uint32_t blocks, cudaStream_t stream)

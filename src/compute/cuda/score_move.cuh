@@ -215,10 +215,10 @@ __device__ __forceinline__ void move_split(const lane_physics &k, const mo_plan_
   lane_move_split(&k, &split, terrain, push, p, v);
 }
 
-/* before: read with SPLIT. SPECIAL: rows may have profiles. */
-template <bool SPLIT, bool SPECIAL>
-__device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared, float *position,
-                                     float *velocity, const float *before)
+/* before: read with SPLIT. TASKS: as live_of (score_live.cuh). */
+template <bool SPLIT, class TASKS>
+__device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared, const TASKS &tasks,
+                                     float *position, float *velocity, const float *before)
 {
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
   const Part *part, *next_part;
@@ -236,7 +236,8 @@ __device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared,
       float p[3] = {at[0], at[1], at[2]};
       const mo_plan_environment &in = *shared.environments[row];
       const lane_physics k = physics_of(score, in.scene);
-      const lane_terrain terrain = {in.scene.heights, SPECIAL ? &in.special.cells : nullptr};
+      const lane_terrain terrain = {in.scene.heights,
+                                    TASKS::kSpecial ? &in.special.cells : nullptr};
       const float highest = shared.light[row].w;
       bool struck;
       if (SPLIT) {
@@ -256,6 +257,7 @@ __device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared,
         speed[0] = v[0];
         speed[1] = v[1];
         speed[2] = v[2];
+        tasks.touches(shared, row, part->first_mass + item.mass);
       }
       at[0] = p[0];
       at[1] = p[1];

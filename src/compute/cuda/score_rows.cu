@@ -4,6 +4,8 @@
 #include "compute/cuda/score.cuh"
 
 extern "C" {
+#include "base/thread.h"
+#include "rollout/measuring.h"
 #include "rollout/scene.h"
 }
 
@@ -39,7 +41,8 @@ uint32_t threads_for(const mo_plan &plan)
 /* Divides rows into groups. */
 int make_plan(mo_plan *plan, const mo_device_score *score, const mo_plan_options &options)
 {
-  const int status = mo_plan_create(plan, score->robots, score->n, &score->physics);
+  const int status =
+      mo_plan_create(plan, score->robots, score->n, &score->physics, score->measures != nullptr);
   if (status != MO_OK)
     return status;
   mo_plan_measure(plan, threads_for(*plan));
@@ -54,7 +57,16 @@ uint32_t most_places(const mo_plan &plan)
   return (most + 31) / 32 * 32;
 }
 
-/* The bytes of all outcomes, after which come the results of rows with tasks, if there are any. */
+uint32_t most_lengths(const mo_plan &plan)
+{
+  uint32_t most = 0;
+  for (uint32_t g = 0; g < plan.n_groups; g++)
+    most = std::max(most, plan.groups[g].n_lengths);
+  return (most + 31) / 32 * 32;
+}
+
+/* The bytes of all outcomes, after which come the results of rows with tasks, if there are any;
+ * what was observed; and the states of rows whose tasks have a tally. */
 size_t outcomes_bytes(const mo_plan &plan)
 {
   return plan.n * sizeof(mo_cuda_outcome);
@@ -65,12 +77,40 @@ size_t results_bytes(const mo_plan &plan)
   return outcomes_bytes(plan) + (plan.is_special ? plan.n * sizeof(course_result) : 0);
 }
 
+size_t observed_bytes(const mo_plan &plan)
+{
+  return results_bytes(plan) + (plan.observes ? plan.n * sizeof(mo_observed_row) : 0);
+}
+
+size_t guided_bytes(const mo_plan &plan)
+{
+  return plan.has_tally ? plan.n * sizeof(mo_cuda_guided) : 0;
+}
+
+size_t inverted_bytes(uint32_t blocks)
+{
+  return (size_t)blocks * MO_PLAN_ROWS_MAX * MO_PLAN_VOXEL_WORDS * sizeof(uint32_t);
+}
+
+int reserve_measures(mo_device *device, const mo_plan &plan, uint32_t blocks)
+{
+  if (!plan.observes)
+    return MO_OK;
+  return in_turn(
+      [&] {
+        return mo_cuda_reserve(device, &device->lengths,
+                               (size_t)blocks * most_lengths(plan) * sizeof(float));
+      },
+      [&] { return mo_cuda_reserve(device, &device->inverted, inverted_bytes(blocks)); });
+}
+
 /* per_place: bytes of velocities. */
 int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t places,
             size_t per_place)
 {
-  const size_t outcomes = results_bytes(plan);
+  const size_t outcomes = observed_bytes(plan);
   return in_turn(
+      [&] { return reserve_measures(device, plan, blocks); },
       [&] { return mo_cuda_reserve(device, &device->plan, plan.block.bytes); },
       [&] {
         return mo_cuda_reserve(device, &device->velocities, (size_t)blocks * places * per_place);
@@ -83,7 +123,10 @@ int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t pl
                    : MO_OK;
       },
       [&] { return mo_cuda_reserve_pinned(device, &device->staged_plan, plan.block.bytes); },
-      [&] { return mo_cuda_reserve_pinned(device, &device->staged_outcomes, outcomes); });
+      [&] {
+        return mo_cuda_reserve_pinned(device, &device->staged_outcomes,
+                                      outcomes + guided_bytes(plan));
+      });
 }
 
 mo_cuda_score arguments_of(const mo_device *device, const mo_plan &plan,
@@ -137,33 +180,91 @@ mo_cuda_tasks task_arguments(const mo_device *device, const mo_plan &plan,
   return t;
 }
 
-/* Launches the kernel for plain rows, or the one that also computes tasks. */
+mo_cuda_measures measure_arguments(const mo_device *device, const mo_plan &plan)
+{
+  const char *base = (const char *)device->plan.memory;
+  mo_cuda_measures m = {};
+  m.rest = (const mo_plan_rest *)(base + plan.block.rest);
+  m.voxels = (const mo_plan_voxels *)(base + plan.block.voxels);
+  m.corners = (const mo_plan_corners *)(base + plan.block.corners);
+  m.observed = (mo_observed_row *)((char *)device->outcomes.memory + results_bytes(plan));
+  m.lengths = device->lengths.of<float>();
+  m.inverted = device->inverted.of<uint32_t>();
+  m.max_lengths = most_lengths(plan);
+  return m;
+}
+
+/* Launches the kernel for plain rows, or the one that also computes tasks and measures. */
 cudaError_t launch(mo_device *device, const mo_plan &plan, const mo_device_score *score,
                    uint32_t places, uint32_t blocks)
 {
   const mo_cuda_score arguments = arguments_of(device, plan, score, places);
-  return plan.is_special ? device->tasks->launch(arguments, task_arguments(device, plan, score),
-                                                 blocks, device->stream)
-                         : device->score->launch(arguments, blocks, device->stream);
+  if (!plan.is_special)
+    return device->score->launch(arguments, blocks, device->stream);
+  const mo_cuda_tasks tasks = task_arguments(device, plan, score);
+  const mo_cuda_measures measures = measure_arguments(device, plan);
+  return device->tasks->launch(arguments, tasks, plan.observes ? &measures : nullptr, blocks,
+                               device->stream);
 }
 
-/* results: of the rows with tasks. */
-void hand_over(const mo_cuda_outcome *from, const course_result *results,
-               const mo_device_score *score)
+/* What the device has written, in pinned memory; NULL: not for these rows. */
+struct Written {
+  const mo_cuda_outcome *outcomes;
+  const course_result *results;
+  const mo_observed_row *observed;
+  const mo_cuda_guided *guided;
+  const mo_device_score *score;
+};
+
+Written written_by(const mo_device *device, const mo_plan &plan, const mo_device_score *score)
 {
-  for (uint32_t r = 0; r < score->n; r++) {
-    const mo_environment *environment = score->robots[r].environment;
-    mo_outcome *to = score->outcomes + r;
-    memcpy(to->com_start_m, from[r].com_start_m, sizeof(to->com_start_m));
-    memcpy(to->com_end_m, from[r].com_end_m, sizeof(to->com_end_m));
-    to->diverged_step = from[r].diverged_step;
-    if (mo_task_is_plain(&environment->task)) {
-      mo_scene_finish(to, environment);
-    } else {
-      to->loss = results[r].loss;
-      to->value = results[r].value;
-    }
+  const char *staged = (const char *)device->staged_outcomes.memory;
+  return Written{(const mo_cuda_outcome *)staged,
+                 plan.is_special ? (const course_result *)(staged + outcomes_bytes(plan)) : nullptr,
+                 plan.observes ? (const mo_observed_row *)(staged + results_bytes(plan)) : nullptr,
+                 plan.has_tally ? (const mo_cuda_guided *)(staged + observed_bytes(plan)) : nullptr,
+                 score};
+}
+
+void hand_over_row(const Written &from, size_t r)
+{
+  const mo_device_score *score = from.score;
+  const mo_robot *robot = score->robots + r;
+  const mo_task *task = &robot->environment->task;
+  mo_outcome *to = score->outcomes + r;
+  double observed[MO_MEASURES];
+  memcpy(to->com_start_m, from.outcomes[r].com_start_m, sizeof(to->com_start_m));
+  memcpy(to->com_end_m, from.outcomes[r].com_end_m, sizeof(to->com_end_m));
+  to->diverged_step = from.outcomes[r].diverged_step;
+  if (from.observed != nullptr)
+    mo_observe_measures(from.observed + r, robot, &score->physics, to, observed);
+  if (score->measures != nullptr)
+    mo_measures_round(MO_MEASURES_ALL, observed, score->measures[r]);
+  if (mo_task_is_plain(task)) {
+    mo_scene_finish(to, robot->environment);
+  } else if (course_has_tally(task)) {
+    mo_observe_finish(&from.guided[r].track, from.observed != nullptr ? observed : nullptr, robot,
+                      &score->physics, to);
+  } else {
+    to->loss = from.results[r].loss;
+    to->value = from.results[r].value;
   }
+}
+
+void hand_over_some(void *context, size_t first, size_t end)
+{
+  for (size_t r = first; r < end; r++)
+    hand_over_row(*(const Written *)context, r);
+}
+
+/* Copies the states of rows whose tasks have a tally. */
+cudaError_t fetch_states(mo_device *device, const mo_plan &plan)
+{
+  char *staged = (char *)device->staged_outcomes.memory;
+  return plan.has_tally
+             ? cudaMemcpyAsync(staged + observed_bytes(plan), device->guided.memory,
+                               guided_bytes(plan), cudaMemcpyDeviceToHost, device->stream)
+             : cudaSuccess;
 }
 
 /* Computes outcomes, in pinned memory, from a plan. */
@@ -196,8 +297,9 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
               [&] { return launch(device, plan, score, places, blocks); },
               [&] {
                 return cudaMemcpyAsync(device->staged_outcomes.memory, device->outcomes.memory,
-                                       results_bytes(plan), cudaMemcpyDeviceToHost, stream);
+                                       observed_bytes(plan), cudaMemcpyDeviceToHost, stream);
               },
+              [&] { return fetch_states(device, plan); },
               [&] { return cudaEventRecord(device->end, stream); });
   const int launched = mo_cuda_check(device, error, "launch");
   /* Launched work must have finished before its buffers are used again. */
@@ -230,9 +332,9 @@ int mo_cuda_score_rows(mo_device *device, mo_device_score *score)
   if (status == MO_OK)
     status = run(device, plan, score, blocks, &device_ms);
   if (status == MO_OK) {
-    const char *staged = (const char *)device->staged_outcomes.memory;
-    hand_over((const mo_cuda_outcome *)staged,
-              (const course_result *)(staged + outcomes_bytes(plan)), score);
+    Written written = written_by(device, plan, score);
+    mo_parallel(plan.observes || plan.has_tally ? threads_for(plan) : 1, score->n, hand_over_some,
+                &written);
     score->device_s = 1e-3 * device_ms;
     score->host_s = fmax(0.0, now_s() - start_s - score->device_s);
   }

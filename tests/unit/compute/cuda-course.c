@@ -1,5 +1,6 @@
 /* The tasks of a device's rows, compiled for the host, against src/rollout/course.c: bit by bit. */
 #include "../make.h"
+#include "../rollout/objective-cases.h"
 #include "../rollout/task-cases.h"
 
 #include "compute/cuda/course.cuh"
@@ -107,6 +108,49 @@ static void forward(void)
     }
   printf("# %u way-points reached, progress kept %u times, at an end %u times\n", legs, kept, set);
   CHECK(legs > 0 && kept > 0 && set > 0);
+}
+
+/* Objectives that the host finishes: all but the smooth maximum, which only gradients have. */
+static bool same_tally(const struct mo_tally *a, const struct mo_tally *b)
+{
+  return memcmp(a->sums, b->sums, sizeof(a->sums)) == 0 && a->peak_m == b->peak_m;
+}
+
+static void tallies(void)
+{
+  const struct mo_scheme scheme = scheme_of();
+  for (uint32_t k = 0; k < OBJECTIVE_CASES; k++)
+    for (uint32_t walk = 0; walk < WALKS; walk++) {
+      struct mo_environment environment = environment_of(0, walk);
+      struct mo_random dice;
+      struct mo_course course, other_course;
+      struct mo_track track, other;
+      double com_m[3] = {MO_WORLD_CENTER_M, MO_WORLD_CENTER_M, 0.2}, sums = 0;
+      set_objective(&environment, k);
+      mo_random_init(&dice, 6, MO_PURPOSE_CHECK, k, walk);
+      mo_course_begin(&course, &environment, &scheme, com_m, &track);
+      course_begin(&other_course, &environment, scheme.n_steps * scheme.dt_s, PERIODS, com_m,
+                   &other);
+      course_begin_tally(&other);
+      CHECK(course_has_tally(&environment.task) && same_tally(&track.tally, &other.tally));
+      for (uint32_t period = 1; period <= PERIODS; period++) {
+        const double t_s = period < PERIODS ? 7 * period * scheme.dt_s : course.end_s;
+        const struct mo_track before = other;
+        wander(&environment.task.guide, &dice, period - 1, com_m);
+        mo_course_advance(&course, t_s, com_m, &track);
+        course_advance(&other_course, t_s, com_m, &other);
+        course_add_tally(&other_course, t_s, &before, &other);
+        REQUIRE(same_track(&track, &other) && same_tally(&track.tally, &other.tally));
+        REQUIRE(same_light(&course, t_s, &track));
+      }
+      for (int sum = 0; sum < 5; sum++)
+        sums += fabs(track.tally.sums[sum]);
+      CHECK(sums > 0 || isfinite(track.tally.peak_m) || k == 2 || k == 3 || k == 8);
+      for (uint32_t t = 0; t < TASK_CASES; t++) {
+        const struct mo_task task = task_case(t);
+        CHECK(!course_has_tally(&task));
+      }
+    }
 }
 
 static bool same_adjoint(const struct mo_course_adjoint *a, const struct mo_course_adjoint *b,
@@ -217,6 +261,7 @@ static void functions(void)
 
 static const struct check_case cases[] = {
     {"lights, sums and results are those of course.c", forward},
+    {"tallies of other objectives and of sums", tallies},
     {"their derivatives are those of course.c", backward},
     {"exponents of long falls", falls},
     {"sines, exponentials, lengths, terrain", functions},

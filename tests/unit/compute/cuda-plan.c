@@ -3,6 +3,7 @@
 
 #include "compute/cuda/plan.h"
 #include "rollout/damage.h"
+#include "rollout/measuring.h"
 
 enum { BODIES = 60, PLACES = 7, N = BODIES * PLACES };
 
@@ -10,6 +11,7 @@ static struct mo_lattice *lattice;
 static struct mo_physics physics;
 static struct mo_environment environments[PLACES];
 static struct mo_robot robots[N];
+static bool measures;
 
 /* Random bodies of 1 to 144 voxels; the rows of a body are adjacent, with a few exceptions. */
 static void setup(void)
@@ -56,7 +58,7 @@ static const struct mo_plan_options options = {.rows = 40,
 static int cut(struct mo_plan *plan, const struct mo_robot *rows, uint32_t n, uint32_t n_threads,
                const struct mo_plan_options *wanted)
 {
-  const int status = mo_plan_create(plan, rows, n, &physics);
+  const int status = mo_plan_create(plan, rows, n, &physics, measures);
   if (status != MO_OK)
     return status;
   mo_plan_measure(plan, n_threads);
@@ -171,6 +173,45 @@ static void tasks(void)
   const struct mo_environment *laid = (const void *)(f.block + f.plan.block.tasks);
   for (uint32_t e = 0; e < f.plan.n_environments; e++)
     CHECK(memcmp(laid + e, f.plan.environments[e], sizeof(*laid)) == 0);
+  release(&f);
+}
+
+/* The tables that measures need, if there are any: each mass and voxel at its place. */
+static void tables_of_measures(void)
+{
+  struct filled f;
+  REQUIRE(fill(&f, robots, N, 2));
+  CHECK_INT(f.plan.block.rest, f.plan.block.bytes);
+  CHECK_INT(f.plan.block.corners, f.plan.block.bytes);
+  release(&f);
+  measures = true;
+  REQUIRE(fill(&f, robots, N, 3));
+  measures = false;
+  CHECK(f.plan.is_special && f.plan.observes && !f.plan.has_damage);
+  const struct mo_plan_rest *rest = (const void *)(f.block + f.plan.block.rest);
+  const struct mo_plan_voxels *voxels = (const void *)(f.block + f.plan.block.voxels);
+  const struct mo_plan_corners *corners = (const void *)(f.block + f.plan.block.corners);
+  uint32_t next = 0;
+  for (uint32_t b = 0; b < f.plan.n_bodies; b++) {
+    const struct mo_body *body = f.plan.bodies[b];
+    const uint8_t *ranks = f.ranks + f.bodies[b].first_mass;
+    double rows[MO_DEFAULT_MASSES][3];
+    uint8_t halves[MO_DEFAULT_MASSES][2];
+    mo_measuring_frame(body, rows);
+    mo_measuring_halves(body, halves);
+    CHECK_INT(voxels[b].first, next);
+    CHECK_INT(voxels[b].n, body->n_voxels);
+    for (uint32_t m = 0; m < body->n_masses; m++) {
+      const struct mo_plan_rest *of = rest + f.bodies[b].first_mass + ranks[m];
+      for (int axis = 0; axis < 3; axis++)
+        CHECK(of->row[axis] == (float)rows[m][axis]);
+      CHECK_INT(of->halves, halves[m][0] + 4 * halves[m][1]);
+    }
+    for (uint32_t v = 0; v < body->n_voxels; v++)
+      for (uint32_t k = 0; k < 8; k++)
+        CHECK_INT(corners[next + v].mass[k], ranks[body->voxel_mass[8 * (size_t)v + k]]);
+    next += body->n_voxels;
+  }
   release(&f);
 }
 
@@ -403,6 +444,7 @@ static void refusals(void)
 static const struct check_case cases[] = {{"every row once", rows_once},
                                           {"environments with tasks", tasks},
                                           {"profiles and damage", profiles_and_damage},
+                                          {"tables for measures", tables_of_measures},
                                           {"links", links},
                                           {"slots", slots},
                                           {"tiles", tiles},

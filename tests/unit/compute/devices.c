@@ -73,6 +73,42 @@ static void setup(void)
   check_drop_from(compute);
 }
 
+/* Every second design is measured, every fourth of them by some measures alone: the measures of the
+ * workers, at the same outcomes, also where memory is short and where the workers take over. */
+static void measures_rows(void)
+{
+  static double values[DESIGNS][ENVIRONMENTS][MO_MEASURES], all[ENVIRONMENTS][MO_MEASURES];
+  struct mo_measuring measurings[DESIGNS];
+  uint32_t on_device = 0;
+  reset();
+  set("MORPHO_FAKE_ROWS", "70");
+  set("MORPHO_FAKE_SPRINGS", "400");
+  struct mo_compute *compute = open_devices("2");
+  struct mo_compute_controller *brain = make_compute_controller(compute, controller);
+  for (uint32_t d = 0; d < DESIGNS; d++) {
+    blocks[d] = design_block(d, brain, STEPS);
+    measurings[d] = (struct mo_measuring){d % 4 == 0 ? 5 : MO_MEASURES_ALL, values[d]};
+    blocks[d].measuring = d % 2 == 0 ? &measurings[d] : NULL;
+  }
+  memset(values, 0x7f, sizeof(values));
+  CHECK_INT(mo_compute_run(compute, blocks, DESIGNS), MO_OK);
+  struct mo_workspace_memory *memory = make_workspace_memory();
+  const struct mo_pack *pack = make_pack(controller, mo_isa_best(), MO_FLOAT32);
+  for (uint32_t d = 0; d < DESIGNS; d++) {
+    const struct mo_measuring measuring = {measurings[d].set, all};
+    struct mo_outcome outcomes[ENVIRONMENTS];
+    CHECK(as_expected(d));
+    CHECK_INT(mo_rollout_block(memory, pack, bodies[d], blocks[d].environments, ENVIRONMENTS,
+                               &blocks[d].physics, NULL, &measuring, NULL, outcomes),
+              MO_OK);
+    if (d % 2 == 1)
+      memset(all, 0x7f, sizeof(all)); /* not asked for: left as they were */
+    CHECK(memcmp(values[d], all, sizeof(all)) == 0);
+    on_device += blocks[d].computed_on == MO_ON_DEVICE;
+  }
+  CHECK(on_device > DESIGNS / 2 && on_device < DESIGNS);
+}
+
 /* ---- loading ---- */
 
 static void expect_refusal(const char *module, const uint32_t *devices, uint32_t n, int status,
@@ -496,6 +532,7 @@ static const struct check_case cases[] = {
     {"scores do not depend on the number of devices", scores_do_not_depend_on_the_number},
     {"scores do not depend on available memory", scores_do_not_depend_on_memory},
     {"workers compute what devices do not support", workers_do_the_rest},
+    {"rows are measured where that is asked for", measures_rows},
     {"the others continue when one device is lost", goes_on_without_a_device},
     {"the loss of the last device ends only its work", ends_without_any_device},
     {"ends blocks that takers put back", ends_what_takers_put_back},
