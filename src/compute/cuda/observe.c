@@ -3,7 +3,7 @@
 
 #include "rollout/course.h"
 #include "rollout/measuring.h"
-#include "rollout/scene.h"
+#include "rollout/window.h"
 
 #include <string.h>
 
@@ -25,29 +25,14 @@ void mo_observe_tables(const struct mo_body *body, const uint8_t *ranks, struct 
       corners[v].mass[k] = ranks[body->voxel_mass[8 * (size_t)v + k]];
 }
 
-/* Finds the light at the start, in x and y. */
-static void first_light(const struct mo_environment *environment, const struct mo_physics *physics,
-                        const double com_start_m[3], double light_m[3])
-{
-  struct mo_course course;
-  struct mo_track track;
-  if (mo_task_is_plain(&environment->task)) {
-    mo_scene_light(environment, light_m);
-    return;
-  }
-  mo_course_begin(&course, environment, &physics->scheme, com_start_m, &track);
-  mo_course_light(&course, 0, &track, light_m);
-}
-
 void mo_observe_measures(const struct mo_observed_row *row, const struct mo_robot *robot,
                          const struct mo_physics *physics, const struct mo_outcome *outcome,
                          double observed[MO_MEASURES])
 {
   struct mo_observer observer;
-  double light_m[3];
-  first_light(robot->environment, physics, outcome->com_start_m, light_m);
-  mo_observer_begin(&observer, robot->body, robot->environment, physics, outcome->com_start_m,
-                    light_m);
+  const struct mo_window window = mo_window_of(&physics->scheme, NULL);
+  mo_window_observer(&window, NULL, 0, robot->body, robot->environment, physics,
+                     outcome->com_start_m, &observer);
   memcpy(observer.last.com_m, row->com_m, sizeof(row->com_m));
   memcpy(observer.last.turn, row->turn, sizeof(row->turn));
   observer.path_m = row->path_m;
