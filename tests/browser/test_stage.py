@@ -179,22 +179,29 @@ def test_assimp_loads_the_model(model):
         assert shown == pytest.approx(track[frame * n * 3:(frame + 1) * n * 3], abs=0.001)
 
 
-@pytest.mark.parametrize("is_race", [False, True])
-def test_a_page_of_its_own(service, browser, tmp_path, is_race):
-    """The saved page needs no service: the robots walk from a file, side by side or in lanes."""
+@pytest.mark.parametrize("is_race, ghosts", [(False, False), (True, False), (True, True)])
+def test_a_page_of_its_own(service, browser, tmp_path, is_race, ghosts):
+    """The saved page needs no service: the robots walk from a file, side by side, in lanes, or as
+    ghosts, of which the leader is opaque."""
     ids = [row["robot"] for row in service.evaluate(
         {"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]}).json()["results"]]
     browser.open(f"stage?designs={','.join(ids)}")
     browser.until_walking()
     text = browser.driver.execute_async_script("""
-        const [isRace, done] = arguments;
+        const [isRace, ghosts, done] = arguments;
         const folder = document.querySelector('script[type=module]').src.replace(/app.js$/, '');
         import(folder + 'export/page.js').then(async ({ toPage }) => {
           const { stage } = document.querySelector('.stage').player;
-          const page = await toPage(stage.robots, 'A </script><b>race</b>', isRace);
+          const page = await toPage(stage.robots, 'A </script><b>race</b>', isRace, ghosts);
           done(await page.text());
         });
-    """, is_race)
+    """, is_race, ghosts)
+    leaders = module(browser, "stage/race.js", """
+        const { stage: { robots } } = document.querySelector('.stage').player;
+        const race = of.raceOf(robots);
+        done(Array.from({ length: robots[0].frames }, (_, frame) =>
+          robots.indexOf(of.orderAt(race, frame * robots[0].frameS)[0].robot)));""")
+    assert f'"leaders":{json.dumps(leaders, separators=(",", ":"))},' in text
     file = tmp_path / "race.html"
     file.write_text(text)
     browser.driver.get(file.as_uri())
@@ -206,6 +213,7 @@ def test_a_page_of_its_own(service, browser, tmp_path, is_race):
     assert len({row.tobytes() for row in first}) > 20, "the page draws nothing"
     side = "return document.getElementById('side').getAttribute('aria-pressed')"
     assert browser.run(side) == str(not is_race).lower()
+    assert browser.run(side.replace("side", "ghosts")) == str(ghosts).lower()
     browser.run("document.getElementById('side').click()")
     browser.until(f"document.getElementById('side').getAttribute('aria-pressed') === '{is_race}'"
                   .replace("True", "true").replace("False", "false"))

@@ -23,7 +23,8 @@ export async function filmOf(player, onprogress, race = player.standings.race) {
     if (stage.robots !== robots || player.standings.race !== race) {
       throw new Error('The stage has changed, so the film was stopped.');
     }
-    stage.timeS = time;
+    Object.assign(stage, { timeS: time, hovered: null });
+    if (race) stage.leader = orderAt(race, time)[0].robot;
     stage.draw();
   };
   try {
@@ -73,6 +74,7 @@ function paint(context, stage, race) {
   write(`${Math.min(stage.timeS, race.durationS).toFixed(2)} s`, left + wide - 0.6 * line,
     top + 0.8 * line, muted, 'right');
   const [{ matrix }] = stage.drawn;
+  const placed = [];
   order.forEach(({ robot, text: value, isArrived }, i) => {
     const y = top + (i + 1.9) * line;
     font(isArrived ? '700' : '400');
@@ -82,7 +84,12 @@ function paint(context, stage, race) {
     write(names[i], left + 2.8 * line, y, text);
     write(value, left + wide - 0.6 * line, y, text, 'right');
     const [px, py] = project(matrix, stage.placeOf(robot));
-    const [x, above] = [((px + 1) / 2) * width, ((1 - py) / 2) * height - 2 * line];
+    const x = ((px + 1) / 2) * width;
+    let above = ((1 - py) / 2) * height - 2 * line;
+    const overlaps = ([left, top]) => Math.abs(left - x) < 1.2 * line &&
+      Math.abs(top - above) < line;
+    while (stage.ghosts && placed.some(overlaps)) above -= line;
+    placed.push([x, above]);
     context.fillStyle = ground;
     context.fillRect(x - 0.6 * line, above - 0.5 * line, 1.2 * line, line);
     font('700');

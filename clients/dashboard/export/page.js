@@ -4,6 +4,7 @@
  */
 
 import { resultOf } from '../lib/tasks.js';
+import { orderAt, raceOf } from '../stage/race.js';
 
 /** Modules of the stage, each after those that it imports. */
 const MODULES = ['stage/math.js', 'stage/camera.js', 'stage/gl.js', 'stage/shaders.js',
@@ -29,26 +30,30 @@ const canvas = document.querySelector('canvas');
 const stage = new Stage(canvas);
 stage.setRobots(robots);
 stage.sideBySide = robots.length > 1 && !DATA.isRace;
+stage.ghosts = DATA.areGhosts;
 stage.aim();
 let apart = { ...stage.camera };
 const arrange = () => {
   stage.isFramed = Boolean(stage.lanes());
   stage.follow = !stage.isFramed;
   if (stage.isFramed) apart = { ...stage.camera };
-  Object.assign(stage.camera, stage.isFramed ? { lens: LENS } : apart);
+  Object.assign(stage.camera, stage.isFramed ? { lens: stage.lanes().lens } : apart);
 };
 arrange();
-const [slider, play, side, springs] = ['time', 'play', 'side', 'springs']
+const [slider, play, side, ghosts, springs] = ['time', 'play', 'side', 'ghosts', 'springs']
   .map((id) => document.getElementById(id));
 slider.max = stage.durationS();
 let playing = !matchMedia('(prefers-reduced-motion: reduce)').matches;
 let before;
 driveCamera(canvas, stage.camera, () => { stage.isFramed = false; });
 play.onclick = () => { playing = !playing; };
-side.onclick = () => {
-  stage.sideBySide = !stage.sideBySide;
+const toggle = (sideBySide, areGhosts) => {
+  Object.assign(stage, { sideBySide, ghosts: areGhosts });
   arrange();
 };
+side.onclick = () => toggle(!stage.sideBySide, stage.ghosts);
+ghosts.onclick = () => toggle(false, stage.sideBySide || !stage.ghosts);
+ghosts.hidden = robots.length < 2;
 springs.onclick = () => {
   stage.show.springs = !stage.show.springs;
   stage.show.skin = !stage.show.springs;
@@ -62,16 +67,20 @@ for (const robot of stage.robots) {
   name.append(swatch, robot.label + ' ' + robot.result);
   names.append(name);
 }
-(function frame(now) {
+(function tick(now) {
   if (playing && before !== undefined) stage.timeS += Math.min((now - before) / 1000, 0.25);
   if (stage.timeS > stage.durationS() + 1) stage.timeS = 0;
   before = now;
+  const { leaders, everyS } = DATA;
+  const frame = Math.min(Math.floor(stage.timeS / everyS), leaders.length - 1);
+  stage.leader = stage.robots[leaders[frame]];
   stage.draw();
   slider.value = Math.min(stage.timeS, stage.durationS());
   play.textContent = playing ? 'Pause' : 'Play';
   side.setAttribute('aria-pressed', stage.sideBySide);
+  ghosts.setAttribute('aria-pressed', stage.ghosts && !stage.sideBySide);
   springs.setAttribute('aria-pressed', stage.show.springs);
-  requestAnimationFrame(frame);
+  requestAnimationFrame(tick);
 })();`;
 
 function base64(bytes) {
@@ -95,15 +104,20 @@ const safe = (text) => text.replace(/<\//g, '<\\/').replace(/<!--/g, '<\\!--');
  * @param {import('../stage/stage.js').Robot[]} robots as the stage has them, with genotype and
  *   label
  * @param {string} title
- * @param {boolean} isRace whether it begins as a race in lanes, not side by side
+ * @param {boolean} isRace whether it begins as a race, not side by side
+ * @param {boolean} areGhosts whether the race is on one ground, not in lanes
  */
-export async function toPage(robots, title, isRace = false) {
+export async function toPage(robots, title, isRace = false, areGhosts = false) {
   const base = new URL('..', import.meta.url);
   const load = async (name) => (await fetch(new URL(name, base))).text();
   const sources = await Promise.all(MODULES.map(load));
   const worlds = [...new Set(robots.map((robot) => robot.world))];
+  const [{ driven, frames: longest, frameS: everyS }] = robots; // driven robots have no order
+  const race = driven ? null : raceOf(robots);
+  const leaders = Array.from({ length: race ? longest : 0 }, (_, frame) =>
+    robots.indexOf(orderAt(race, frame * everyS)[0].robot));
   const data = {
-    isRace,
+    isRace, areGhosts, leaders, everyS,
     worlds: worlds.map(({ light, points, heights, spacing, columns, task }) => ({
       light: [...light], points, heights: [...heights], spacing, columns, task,
     })),
@@ -124,7 +138,8 @@ export async function toPage(robots, title, isRace = false) {
     `<canvas tabindex="0" aria-label="${escaped}"></canvas>` +
     '<footer><button id="play"></button>' +
     '<input id="time" type="range" min="0" step="any" aria-label="Time">' +
-    '<button id="side">Side by side</button><button id="springs">Springs</button>' +
+    '<button id="side">Side by side</button><button id="ghosts">Ghosts</button>' +
+    '<button id="springs">Springs</button>' +
     '<span id="names"></span></footer>' +
     `<script type="module">const DATA=${safe(JSON.stringify(data))};\n${safe(modules)}\n` +
     `${SCRIPT}</script></html>`;

@@ -9,12 +9,14 @@ import { centerOfMass } from './robot.js';
 /** Maximum number of lanes, and that for narrow canvases: more would be too thin to see. */
 const LANES_MAX = 16;
 const FEW_LANES = 8;
-const NARROW_PX = 640;
+export const NARROW_PX = 640;
 /** Around what the robots and their lights cover, and between lanes. */
 const MARGIN_M = 0.06;
 const GAP_M = 0.05;
 /** Maximum distance to the side within a lane; smaller for many robots. */
 const strayM = (n) => (n <= 4 ? 1.3 : n <= 8 ? 0.75 : 0.5);
+/** With little perspective, robots in far lanes are as large as others. */
+const LENS = 3;
 /** A light that leads is drawn this close to its robot, to stay within the lane. */
 const LEAD_M = 0.45;
 const LAMP_M = 0.06;
@@ -55,11 +57,12 @@ export const lanesIn = (widthPx) => (widthPx < NARROW_PX ? FEW_LANES : LANES_MAX
 
 /**
  * Returns the lanes of a race, in the order of the robots from left to right. Coordinates along and
- * across a lane are in meters from the start; `lane` has their ranges.
+ * across a lane are in meters from the start; `lane` has their ranges. As ghosts, the robots share
+ * the whole ground: then nothing is shifted, and there is no `lane`.
  * @param {import('./stage.js').Robot[]} all
  * @param {number} max number of lanes
  */
-export function lanesOf(all, max) {
+export function lanesOf(all, max, areGhosts = false) {
   const robots = chosen(all, max);
   const [first] = robots;
   const start = centerOfMass(first, 0);
@@ -86,29 +89,27 @@ export function lanesOf(all, max) {
     }
   }
   for (const [x, y] of first.world.points ?? []) cover(x, y);
-  const stray = strayM(robots.length);
+  const stray = strayM(areGhosts ? 1 : robots.length);
   const lane = [from - 0.25, to + 0.3, Math.max(low, -stray) - MARGIN_M,
     Math.min(high, stray) + MARGIN_M];
   const pitch = lane[3] - lane[2] + GAP_M;
   const shifts = new Map(robots.map((robot, i) => {
-    const across = (i - (robots.length - 1) / 2) * pitch;
+    const across = areGhosts ? 0 : (i - (robots.length - 1) / 2) * pitch;
     return [robot, [ay * across, -ax * across, 0]];
   }));
-  const side = (robots.length * pitch) / 2;
+  const side = ((areGhosts ? 1 : robots.length) * pitch) / 2;
   const ground = heightAt(first.world, start[0], start[1]);
   const middle = (lane[2] + lane[3]) / 2;
   const sides = [middle - side, middle + side];
   const corners = [lane[0], lane[1]].flatMap((along) => sides.flatMap((across) =>
     [ground, Math.max(top, ground + 0.3)].map((z) =>
       [start[0] + along * ax + across * ay, start[1] + along * ay - across * ax, z])));
-  return { robots, shifts, lane, corners, along: [ax, ay], course: [start[0], start[1], ax, ay],
-    goal, marks: first.world.task?.guide.kind === 'ahead' ? 0.5 : 0 };
+  return { robots, shifts, lane: areGhosts ? null : lane, lens: areGhosts ? 1 : LENS, corners,
+    along: [ax, ay], course: [start[0], start[1], ax, ay], goal, marks: first.world.task?.guide.kind === 'ahead' ? 0.5 : 0 };
 }
 
 /** Half of the height of a picture at a distance of 1 m. */
 const HALF_M = Math.tan((19 * Math.PI) / 180);
-/** With little perspective, robots in far lanes are as large as others. */
-export const LENS = 3;
 /** Pitches to try for a race; the one that shows the ground largest is used. */
 const PITCHES = [1.15, 0.9, 0.6];
 /** How large the ground of the lanes is in a picture. */
@@ -121,10 +122,10 @@ const sizeIn = ({ pitch, distanceM }) => Math.sin(pitch) / distanceM ** 2;
  * @param {import('./camera.js').Camera} camera
  * @param {number} covered share of the width, at the right, that the list of robots covers
  */
-export function frameLanes({ corners, along: [ax, ay] }, camera, width, height, covered) {
+export function frameLanes({ corners, lens, along: [ax, ay] }, camera, width, height, covered) {
   const views = PITCHES.map((pitch) => {
     const view = Object.assign(Object.create(Object.getPrototypeOf(camera)), camera, {
-      yaw: Math.atan2(ax, ay), pitch, lens: LENS, distanceM: 6,
+      yaw: Math.atan2(ax, ay), pitch, lens, distanceM: 6,
     });
     view.target = [0, 1, 2].map((axis) => corners.reduce((sum, at) => sum + at[axis], 0) / 8);
     for (let i = 0; i < 8; i++) {

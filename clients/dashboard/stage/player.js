@@ -5,7 +5,6 @@ import { percent } from '../lib/format.js';
 import { resultOf } from '../lib/tasks.js';
 import { driveCamera } from './camera.js';
 import { isSoftware } from './gl.js';
-import { LENS } from './lanes.js';
 import { Stage } from './stage.js';
 import { Standings } from './standings.js';
 import { Tags } from './tags.js';
@@ -25,6 +24,8 @@ const SCALE_MIN = 0.35;
 const ELAPSED_MAX_S = 2;
 /** A still picture is drawn at full quality after this pause. */
 const STILL_MS = 250;
+/** A pointer this close to the center of a robot points at it. */
+const HOVER_PX = 40;
 
 export class Player {
   /**
@@ -41,6 +42,7 @@ export class Player {
     this.note = h('div.note', { 'aria-live': 'polite' });
     this.standings = new Standings({
       follow: (i) => this.#followRobot(i), film: () => this.#film(),
+      point: (robot) => this.#point(robot),
     });
     this.names = this.standings.element;
     this.coming = h('div.coming', { hidden: true });
@@ -96,6 +98,8 @@ export class Player {
       click: (x, y) => this.live?.steering.click(x, y),
     });
     this.canvas.addEventListener('keydown', (event) => this.#key(event));
+    this.canvas.addEventListener('pointermove', (event) => this.#hover(event));
+    this.canvas.addEventListener('pointerleave', () => this.#point(null));
     this.canvas.addEventListener('webglcontextrestored', () => this.#wake());
     this.onTheme = (theme) => {
       this.stage.theme = theme;
@@ -137,9 +141,13 @@ export class Player {
     });
     this.sideToggle = button('Side by side', () => this.setSide(true),
       { 'aria-pressed': 'false', title: 'A view for each robot' });
-    this.raceToggle = button('Race', () => this.setSide(false), {
+    this.raceToggle = button('Race', () => this.setSide(false, false), {
       'aria-pressed': 'true', title: 'A lane for each robot: the same ground and the same light, ' +
         'drawn next to each other. A light that leads the way is drawn close to its robot.',
+    });
+    this.ghostsToggle = button('Ghosts', () => this.setSide(false, true), {
+      'aria-pressed': 'false', title: 'All robots from the same place on one ground, see-through. ' +
+        'Opaque is the one that you point at or follow, or else the leader.',
     });
     this.springsToggle = flag('Springs', 'springs');
     this.actuationToggle = flag('Actuation', 'actuation');
@@ -156,15 +164,15 @@ export class Player {
     this.timeRow.append(speed);
     this.toggleRow.append(h('div.pair', {
       role: 'group', 'aria-label': 'Arrangement', hidden: true,
-    }, this.sideToggle, this.raceToggle), this.followToggle, this.toggles.skin, this.springsToggle);
+    }, this.sideToggle, this.raceToggle, this.ghostsToggle), this.followToggle, this.toggles.skin, this.springsToggle);
     if (!compact) this.toggleRow.append(this.actuationToggle, this.toggles.contacts);
     this.toggleRow.append(this.toggles.trails);
   }
 
-  /** Sets what is shown, as in a link: {skin, springs, …, side}. */
+  /** Sets what is shown, as in a link: {skin, springs, …, side, ghosts}. */
   setShown(names) {
     this.arranged = true;
-    this.setSide(names.includes('side'));
+    this.setSide(names.includes('side'), names.includes('ghosts'));
     for (const [name, element] of Object.entries(this.toggles)) {
       const on = names.includes(name);
       if ((element.getAttribute('aria-pressed') === 'true') !== on) element.click();
@@ -172,16 +180,17 @@ export class Player {
   }
 
   shown() {
-    return Object.entries({ ...this.toggles, side: this.sideToggle })
+    return Object.entries({ ...this.toggles, side: this.sideToggle, ghosts: this.ghostsToggle })
       .filter(([, element]) => element.getAttribute('aria-pressed') === 'true')
       .map(([name]) => name);
   }
 
-  /** Shows a view for each robot, or all of them on one terrain. */
-  setSide(on) {
-    this.stage.sideBySide = on;
+  /** Shows a view for each robot, or all of them in one: in lanes, or as ghosts on one ground. */
+  setSide(on, ghosts = this.stage.ghosts) {
+    Object.assign(this.stage, { sideBySide: on, ghosts });
     this.sideToggle.setAttribute('aria-pressed', String(on));
-    this.raceToggle.setAttribute('aria-pressed', String(!on));
+    this.raceToggle.setAttribute('aria-pressed', String(!on && !ghosts));
+    this.ghostsToggle.setAttribute('aria-pressed', String(!on && ghosts));
     this.#arrange();
     this.#list();
     this.#wake();
@@ -191,12 +200,16 @@ export class Player {
   /** In a race, the camera frames all lanes; apart, it goes back to where it was. */
   #arrange() {
     const { stage, stage: { camera } } = this;
-    const isRace = Boolean(stage.lanes());
-    if (isRace === Boolean(this.apart)) return;
-    if (isRace) {
+    const lanes = stage.lanes();
+    const isRace = Boolean(lanes);
+    if (isRace === Boolean(this.apart) && lanes?.lens === this.lens) return;
+    this.lens = lanes?.lens;
+    if (isRace && this.apart) {
+      camera.lens = lanes.lens;
+    } else if (isRace) {
       const { target, yaw, pitch, distanceM, lens } = camera;
       this.apart = { target, yaw, pitch, distanceM, lens };
-      camera.lens = LENS;
+      camera.lens = lanes.lens;
     } else {
       Object.assign(camera, this.apart);
       this.apart = null;
@@ -251,6 +264,26 @@ export class Player {
       stage.timeS = Math.min(stage.durationS(), Math.max(0, Number(time)));
       this.#show();
     }
+  }
+
+  /** Among ghosts, a robot that is pointed at is opaque. */
+  #point(robot) {
+    if (this.stage.hovered === robot) return;
+    this.stage.hovered = robot;
+    if (this.stage.ghosts) this.#wake();
+  }
+
+  #hover({ offsetX, offsetY, buttons }) {
+    const { stage } = this;
+    if (!stage.solid() || buttons) return;
+    let [nearest, pointed] = [HOVER_PX, null];
+    for (const robot of stage.robots) {
+      const place = stage.placeOf(robot);
+      const [{ x, y }] = place ? stage.placesOf(place) : [{ x: Infinity, y: 0 }];
+      const away = Math.hypot(x - offsetX, y - offsetY);
+      if (away < nearest) [nearest, pointed] = [away, robot];
+    }
+    this.#point(pointed);
   }
 
   #setFollow(on) {
@@ -493,8 +526,8 @@ export class Player {
     this.stage.timeS = Math.max(0, this.stage.timeS);
     const time = this.live ? this.live.timeS : Math.min(this.stage.timeS, this.stage.durationS());
     const early = performance.now() < this.createdMs + PATIENCE_MS;
-    this.stage.draw({ empty: early && !this.stage.robots.length, isPart: isMoving });
     this.standings.update(isMoving);
+    this.stage.draw({ empty: early && !this.stage.robots.length, isPart: isMoving });
     this.tags.place(this.stage, this.standings.order);
     this.live?.steering.place();
     this.slider.value = String(time);

@@ -206,6 +206,7 @@ uniform vec3 shrunk;
 uniform vec3 rest;
 uniform vec3 tint;
 uniform float owned; // share of the robot's own color
+uniform float alpha;
 out vec4 color;
 void main() {
   vec3 normal = normalize(cross(dFdx(at), dFdy(at)));
@@ -224,7 +225,7 @@ void main() {
   float border = 1.0 - smoothstep(0.0, 1.0,
     min(edge.x / max(w.x, 0.012), edge.y / max(w.y, 0.012)) - 0.35);
   lit = mix(lit, mix(lit * 0.42, tint, 0.32), border * 0.85);
-  color = vec4(exposed(lit), 1.0);
+  color = vec4(exposed(lit), alpha);
 }`,
 ];
 
@@ -275,11 +276,12 @@ flat in float amount;
 uniform vec3 swollen;
 uniform vec3 shrunk;
 uniform vec3 rest;
+uniform float alpha;
 out vec4 color;
 void main() {
   float round = sqrt(max(1.0 - across * across, 0.0));
   vec3 base = mix(rest * 0.86, amount > 0.0 ? swollen : shrunk, smoothstep(0.02, 0.7, abs(amount)));
-  color = vec4(exposed(base * (0.42 + 0.62 * round) + base * lamp(at, vec3(0.0, 0.0, 1.0))), 1.0);
+  color = vec4(exposed(base * (0.42 + 0.62 * round) + base * lamp(at, vec3(0.0, 0.0, 1.0))), alpha);
 }`,
 ];
 

@@ -33,6 +33,9 @@ const VIEWS_IN_SOFTWARE = 12;
 export const COLORS = ['#f0a030', '#4a9be8', '#57c08a', '#d070c0', '#e8e060', '#9a8cff', '#70d0e0',
   '#e07060'];
 
+/** Opacity of ghosts, and of their parts behind other things. */
+const [GHOST_ALPHA, FAINT_ALPHA] = [0.45, 0.15];
+
 const THEMES = {
   dark: {
     background: [0.078, 0.09, 0.106], ground: [0.33, 0.375, 0.37], line: [0.1, 0.13, 0.14],
@@ -132,6 +135,12 @@ export class Stage {
     this.robots = [];
     this.show = { skin: true, springs: false, actuation: false, trails: true, contacts: false };
     this.sideBySide = false;
+    /** Whether the robots of a race share one ground; all but one of them are translucent. */
+    this.ghosts = false;
+    /** The robot under the pointer. @type {?Robot} */
+    this.hovered = null;
+    /** The leader of the race. @type {?Robot} */
+    this.leader = null;
     /** Whether the camera frames all lanes of a race, until the user turns it. */
     this.isFramed = false;
     /** Share of the width that is covered at the right. */
@@ -173,6 +182,7 @@ export class Stage {
       contacts: new Program(gl, shaders.CONTACT_SHADERS),
       lamp: new Program(gl, shaders.LAMP_SHADERS).prepare(),
     };
+    gl.cullFace(gl.FRONT); // the corners of faces are in this order
     this.ground = groundMesh(gl, GRID);
     this.coarseGround = groundMesh(gl, COARSE_GRID);
     this.tinyGround = groundMesh(gl, TINY_GRID);
@@ -220,10 +230,20 @@ export class Stage {
     const { robots } = this;
     if (this.sideBySide || robots.length < 2 || robots.some((robot) => robot.driven)) return null;
     const max = lanesIn(this.canvas.clientWidth);
-    if (this.laned?.of !== robots || this.laned.max !== max) {
-      this.laned = { of: robots, max, ...lanesOf(robots, max) };
+    const { laned, ghosts } = this;
+    if (laned?.of !== robots || laned.max !== max || laned.ghosts !== ghosts) {
+      this.laned = { of: robots, max, ghosts, ...lanesOf(robots, max, ghosts) };
     }
     return this.laned;
+  }
+
+  /** Returns the opaque robot among ghosts: the one that is pointed at or followed, or the leader.
+   * Returns null if there are no ghosts. */
+  solid() {
+    if (!this.ghosts || this.sideBySide || this.robots.length < 2) return null;
+    const drawn = this.lanes()?.robots ?? this.robots;
+    return [this.hovered, this.follow ? this.robots[this.followed] : null, this.leader]
+      .find((robot) => drawn.includes(robot)) ?? drawn[0];
   }
 
   /** Returns where a robot's center of mass is drawn now, or null if the robot is not drawn. */
@@ -353,12 +373,14 @@ export class Stage {
     view.matrix = matrix;
     const eye = camera.eye();
     camera.distanceM = distanceM;
-    const ground = lanes ? this.laneGround
+    const solid = this.solid();
+    const isLaned = Boolean(lanes?.lane);
+    const ground = isLaned ? this.laneGround
       : shown < (this.shadows ? TINY_PX : SMALL_PX) ? this.tinyGround
         : shown < SMALL_PX || !this.shadows ? this.coarseGround : this.ground;
     const sun = this.#sun(lead?.world ?? DEFAULT_WORLD);
     const isShaded = this.shadows && shown >= SHADOW_PX;
-    const sunMatrix = this.#drawShadows(view, sun, lanes, isShaded);
+    const sunMatrix = this.#drawShadows(view, sun, lanes, solid, isShaded);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(view.x, view.y, view.width, view.height);
     gl.viewport(view.x, view.y, view.width, view.height);
@@ -367,7 +389,7 @@ export class Stage {
     const common = {
       ...look, sun, shadowMap: this.shadow.texture, shadowStrength: isShaded ? 0.62 : 0,
       // In a race, colors distinguish the robots.
-      owned: view.robots.length > 1 ? 0.65 : 0,
+      owned: view.robots.length > 1 ? 0.65 : 0, alpha: 1,
       lane: lanes?.lane ?? NO_LANE, course: lanes?.course ?? NO_LANE,
       goal: lanes?.goal ?? 0, marks: lanes?.marks ?? 0,
     };
@@ -381,15 +403,17 @@ export class Stage {
         lightAt: this.#lightOf(robot, world), tint: robot?.gpu.tint ?? NO_SHIFT,
       };
     };
-    const shared = lanes ? null : own(lead, NO_SHIFT);
-    const places = view.robots.map((robot) => (lanes ? own(robot, lanes.shifts.get(robot))
-      : shared));
-    for (const place of lanes ? places : [shared]) {
+    const shared = isLaned ? null : own(solid ?? lead, NO_SHIFT);
+    const places = view.robots.map((robot) => shared ?? own(robot, lanes.shifts.get(robot)));
+    for (const place of shared ? [shared] : places) {
       this.programs.terrain.use().set(place);
       gl.bindVertexArray(ground.array);
       gl.drawElements(gl.TRIANGLES, ground.n, gl.UNSIGNED_INT, 0);
     }
-    view.robots.forEach((robot, i) => this.#drawRobot(robot, places[i]));
+    view.robots.forEach((robot, i) => {
+      if (!solid || robot === solid) this.#drawRobot(robot, places[i]);
+    });
+    if (solid) this.#drawGhosts(view.robots.filter((robot) => robot !== solid), shared);
     this.#drawBlended(view, places, shared);
     gl.disable(gl.SCISSOR_TEST);
   }
@@ -443,9 +467,9 @@ export class Stage {
       : [...world.light, heightAt(world, world.light[0], world.light[1]) + 0.06];
   }
 
-  #drawShadows(view, sun, lanes, isShaded) {
+  #drawShadows(view, sun, lanes, solid, isShaded) {
     const { gl } = this;
-    const robots = view.robots;
+    const robots = solid ? [solid] : view.robots; // ghosts have no shadow
     const centers = robots.map((robot) => this.placeOf(robot));
     const middle = [0, 1, 2].map((axis) => {
       const values = centers.map((center) => center[axis]);
@@ -473,13 +497,30 @@ export class Stage {
     return sunMatrix;
   }
 
+  /** Robots that are seen through, and do not hide each other: only what is behind other things is
+   * fainter. */
+  #drawGhosts(robots, shared) {
+    const { gl } = this;
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.depthMask(false);
+    for (const [test, alpha] of [[gl.GREATER, FAINT_ALPHA], [gl.LESS, GHOST_ALPHA]]) {
+      gl.depthFunc(test);
+      for (const robot of robots) this.#drawRobot(robot, { ...shared, alpha });
+    }
+    gl.depthMask(true);
+    gl.disable(gl.BLEND);
+  }
+
   #drawRobot(robot, common) {
     const { gl, show } = this;
     const own = { track: robot.gpu.track, frame: this.frameOf(robot), tint: robot.gpu.tint };
     if (show.skin) {
       this.programs.skin.use().set(common).set(own);
       gl.bindVertexArray(robot.gpu.skin.array);
+      if (common.alpha < 1) gl.enable(gl.CULL_FACE); // the sides away from the eye
       gl.drawArrays(gl.TRIANGLES, 0, 6 * robot.body.nFaces);
+      gl.disable(gl.CULL_FACE);
     }
     if (show.springs) {
       this.programs.springs.use().set(common).set({

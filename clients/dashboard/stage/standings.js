@@ -13,9 +13,11 @@ const MOVE_MS = 250;
 const isStill = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
 
 export class Standings {
-  /** @param {{follow: function(number): void, film: function(): Promise<any>}} actions */
-  constructor({ follow, film }) {
+  /** @param {{follow: function(number): void, film: function(): Promise<any>,
+   *   point: function(any): void}} actions point: at a robot, or at none */
+  constructor({ follow, film, point }) {
     this.follow = follow;
+    this.point = point;
     /** @type {?import('./race.js').Race} */
     this.race = null;
     /** @type {{robot: import('./stage.js').Robot, text: string, isArrived: boolean}[]} */
@@ -59,7 +61,7 @@ export class Standings {
     const others = lanes ? robots.length - lanes.robots.length : 0;
     this.left.hidden = !others;
     say(this.left, `the best ${lanes?.robots.length} of ${robots.length}`);
-    this.left.title = 'Only the best robots have a lane. Side by side shows all robots.';
+    this.left.title = 'Only the best robots race. Side by side shows all robots.';
     this.shownMs = 0;
     this.update(false);
   }
@@ -73,6 +75,7 @@ export class Standings {
     this.shownMs = now;
     this.order = race ? orderAt(race, stage.timeS) : stage.robots.map((robot) =>
       ({ robot, text: resultOf(robot), isArrived: false }));
+    stage.leader = race ? this.order[0].robot : null;
     const before = new Map([...this.rows.children].map((row) => [row, placeOf(row)]));
     patch(this.rows, this.order, ({ robot }) => stage.robots.indexOf(robot),
       ({ robot }) => this.#row(robot), (row, { robot, text, isArrived }) => {
@@ -97,6 +100,8 @@ export class Standings {
     return h('button', {
       type: 'button', 'aria-pressed': 'false',
       title: `${robot.robot}: follow this robot`, onclick: () => this.follow(i),
+      onpointerenter: () => this.point(robot), onpointerleave: () => this.point(null),
+      onfocus: () => this.point(robot), onblur: () => this.point(null),
     }, h('strong', { hidden: !this.race }), h('span.row', {}, swatch(robot.color),
       h('span.name', {}, robot.label ?? '')), h('span.number'));
   }

@@ -5,6 +5,7 @@
 
 import { fill, h, say } from '../lib/dom.js';
 import { resultOf } from '../lib/tasks.js';
+import { NARROW_PX } from './lanes.js';
 import { project } from './math.js';
 
 /** More names than these would hide the robots. */
@@ -28,8 +29,11 @@ export class Tags {
     const views = stage.views();
     const placed = [];
     const lanes = stage.lanes();
+    const solid = stage.solid();
     const places = new Map(order.map(({ robot }, i) => [robot, i + 1]));
-    const isCrowded = Boolean(lanes) && isNarrow(stage, lanes);
+    const isCrowded = Boolean(lanes) &&
+      (lanes.lane ? isNarrow(stage, lanes) : clientWidth < NARROW_PX);
+    const tagPx = isCrowded ? CROWDED_PX : WIDTH_PX;
     [...this.element.children].forEach((tag, i) => {
       let [x, y] = [0, 0];
       const isApart = stage.sideBySide && stage.robots.length > 1;
@@ -43,6 +47,7 @@ export class Tags {
         [x, y] = [view.x * perPixel + 8, clientHeight - (view.y + view.height) * perPixel + 8];
       } else {
         const robot = this.robots[i];
+        tag.classList.toggle('solid', robot === solid);
         say(number, String(places.get(robot) ?? ''));
         const place = stage.placeOf(robot);
         tag.hidden = !place;
@@ -50,13 +55,13 @@ export class Tags {
         const [mx, my, mz] = place;
         const matrix = stage.camera.matrix(views[0].width, views[0].height);
         const [px, py, depth] = project(matrix, [mx, my, mz + 0.28]);
-        x = ((px + 1) / 2) * clientWidth - (isCrowded ? CROWDED_PX : WIDTH_PX) / 2;
+        x = ((px + 1) / 2) * clientWidth - tagPx / 2;
         y = ((1 - py) / 2) * clientHeight - HEIGHT_PX;
         tag.hidden = depth > 1 || Math.abs(px) > 1 || Math.abs(py) > 1;
         // All start at the same position: names that would cover each other are stacked.
         const overlaps = (at) =>
-          Math.abs(at[0] - x) < WIDTH_PX && Math.abs(at[1] - y) < HEIGHT_PX;
-        while (!lanes && placed.some(overlaps)) y -= HEIGHT_PX;
+          Math.abs(at[0] - x) < tagPx && Math.abs(at[1] - y) < HEIGHT_PX;
+        while (!lanes?.lane && placed.some(overlaps)) y -= HEIGHT_PX;
         placed.push([x, y]);
       }
       tag.style.transform = `translate(${x.toFixed(1)}px, ${(y + offsetTop).toFixed(1)}px)`;

@@ -185,8 +185,8 @@ export function exportDialog(player, { name, film: command, more = [], sections 
   async function page() {
     const { toPage } = await import('../export/page.js');
     save(await toPage(stage.robots,
-      `Robots: ${stage.robots.map((robot) => robot.label).join(', ')}`, Boolean(stage.lanes())),
-    `${name}.html`);
+      `Robots: ${stage.robots.map((robot) => robot.label).join(', ')}`,
+      Boolean(stage.lanes()), stage.ghosts), `${name}.html`);
   }
 
   return showDialog('Export', h('div.row', {},
@@ -199,6 +199,7 @@ export function exportDialog(player, { name, film: command, more = [], sections 
     }),
     'VideoEncoder' in window ? doing('Film (WebM)', film) : null,
     doing('Page (HTML)', page), doing('Model (GLB)', model), ...more), message, ...sections,
-  command ? [h('p', {}, 'A film, on the machine that has morphoctl:'),
+  command ? [h('p', {}, `A film${stage.robots.length > 1 ? ', side by side' : ''}, on the ` +
+    'machine that has morphoctl:'),
     h('pre', { tabindex: 0 }, command)] : null);
 }

@@ -116,7 +116,7 @@ function checkView(parameters, { n, nRobots: count }) {
   check('time', (value) => value !== '' && Number(value) >= 0, 'a number of seconds');
   const speeds = SPEEDS.map(([value]) => value);
   check('speed', isAmong(speeds), `one of ${speeds.join(', ')}`);
-  const names = ['skin', 'springs', 'contacts', 'trails', 'actuation', 'side'];
+  const names = ['skin', 'springs', 'contacts', 'trails', 'actuation', 'side', 'ghosts'];
   check('show', isAmong(['', ...names]), `a list of ${names.join(', ')}`);
   const number = String.raw`-?\d+(\.\d+)?`;
   check('view', (value) => new RegExp(`^${number}(_${number}){5}$`).test(value),
