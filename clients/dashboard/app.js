@@ -3,11 +3,11 @@
 import {
   ApiError, LinkError, connection, decoded, getJson, getToken, setToken, storing, tokenOfAddress,
 } from './lib/api.js';
-import { announce, button, fill, h, select, svg } from './lib/dom.js';
+import { announce, button, fill, h, svg } from './lib/dom.js';
 import { Events, isNews } from './lib/events.js';
 import { followNotices } from './lib/notices.js';
 import { callerName, whoAmI, whyNot } from './lib/rights.js';
-import { TASKS } from './lib/tasks.js';
+import { TASKS, taskOf } from './lib/tasks.js';
 import { tray } from './lib/tray.js';
 
 /** The views; under: the entry of the bar for a view that has none; hasTask: its scores are of the
@@ -80,8 +80,7 @@ export const app = {
   /** @type {'dark'|'light'} */
   theme: 'dark',
   /** The task of the scores on the pages that have one. */
-  task: TASKS.find(({ name }) => name === storing(() => sessionStorage.getItem(TASK_KEY))) ??
-    TASKS[0],
+  task: taskOf(storing(() => sessionStorage.getItem(TASK_KEY))) ?? TASKS[0],
   /** The newest notable events, oldest first. */
   recent: [],
   /** Called with the theme after each change. */
@@ -241,13 +240,18 @@ class Frame {
     };
     app.themeListeners.add(nameTheme);
     nameTheme();
-    this.taskField = select('Task', TASKS.map(({ name, title }) => [name, title]), app.task.name,
-      (name) => {
-        setTask(TASKS.find((task) => task.name === name));
-        if (this.view?.turnTask) this.view.turnTask();
-        else this.route();
-      });
-    this.taskField.classList.add('inline');
+    this.taskButton = h('button', { type: 'button', popovertarget: 'tasks' });
+    const tasks = h('div.panel', { id: 'tasks', popover: true, role: 'group', 'aria-label': 'Task',
+      onbeforetoggle: async ({ newState }) => {
+        if (newState !== 'open') return;
+        const { fillTasks } = await import('./views/task_choice.js');
+        fillTasks(tasks, app, (task) => {
+          this.#setTask(task);
+          if (this.view?.turnTask) this.view.turnTask();
+          else this.route();
+        });
+      } });
+    this.taskField = h('span', {}, this.taskButton, tasks);
     this.caller = h('span.muted.caller');
     this.note = h('div.note', { role: 'note', hidden: true });
     fill(document.getElementById('frame'), h('header.bar', {}, home,
@@ -366,13 +370,17 @@ class Frame {
 
   /** Uses the task of a link; a link without one has the task of this tab from now on. */
   #takeTask(name) {
-    const task = name === null ? app.task : TASKS.find((one) => one.name === name);
+    const task = name === null ? app.task : taskOf(name);
     if (!task) {
       throw new LinkError(`task=${name.slice(0, 60)} is invalid; use one of ` +
-        `${TASKS.map((one) => one.name).join(', ')}.`);
+        `${TASKS.map((one) => one.name).join(', ')}, or drawn:x_y,x_y with 1 to 16 way-points.`);
     }
+    this.#setTask(task);
+  }
+
+  #setTask(task) {
     setTask(task);
-    this.taskField.querySelector('select').value = task.name;
+    this.taskButton.textContent = `Task: ${task.title}`;
   }
 
   /** Shows a heading with a few words instead of a view. */

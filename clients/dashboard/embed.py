@@ -4,7 +4,8 @@
 usage: embed.py OUTPUT ESBUILD FOLDER FILE...
 
 ESBUILD minifies scripts and styles; '' leaves them as they are, except for comments and
-indentation. FILE is relative to FOLDER.
+indentation. Modules that saved pages contain keep their names, because a page is one script. FILE
+is relative to FOLDER.
 
 They are served from assets/HASH/…, with one hash over all files.
 Modules can therefore import each other by relative names, and clients may cache them. index.html is
@@ -51,7 +52,7 @@ def without_comments(name: str, text: str) -> str:
 
 def inlined(page: str) -> set[str]:
     """Returns the files that saved pages and other clients read as source, so they are not
-    minified."""
+    minified, or only squeezed."""
     modules = re.search(r"const MODULES = \[(.*?)\]", page, re.DOTALL)
     assert modules
     return {"export/page.js", *re.findall(r"'([^']+)'", modules[1])}
@@ -62,6 +63,19 @@ def minify(esbuild: str, folder: pathlib.Path, names: list[str]) -> dict[str, by
         subprocess.run([esbuild, "--minify", "--charset=utf8", "--log-level=warning",
                         f"--outdir={output}", "--outbase=.", *names], cwd=folder, check=True)
         return {name: (pathlib.Path(output) / name).read_bytes() for name in names}
+
+
+def squeeze(esbuild: str, source: bytes) -> bytes:
+    """Removes spaces from a module, but no names. Each import and each export still begins a line,
+    because saved pages and the Python client find them there."""
+    small = subprocess.run([esbuild, "--minify-whitespace", "--minify-syntax", "--charset=utf8",
+                            "--log-level=warning"], input=source, capture_output=True,
+                           check=True).stdout.decode()
+    small = re.sub(r'import(\{[^}]*\}|\*as \w+ )from"([^"]*)";',
+                   lambda found: f"import {found[1].replace('*as', '* as')} from '{found[2]}';\n",
+                   small)
+    small = re.sub(r"(?<=[;}])export (?=const|function|class|async)", "\nexport ", small)
+    return small.replace("new Program(gl,shaders.", "new Program(gl, shaders.").encode()
 
 
 def modules_of(sources: dict[str, str], name: str) -> set[str]:
@@ -98,6 +112,7 @@ def main() -> None:
         files |= minify(esbuild, pathlib.Path(folder),
                         [name for name in files if name.endswith((".js", ".css")) and
                          name not in kept])
+        files |= {name: squeeze(esbuild, files[name]) for name in kept - {"export/page.js"}}
     page = files["index.html"].replace(b"@preload@", preload(sources).encode())
     digest = hashlib.sha256()
     for name, data in files.items():

@@ -252,8 +252,10 @@ def test_the_drawing_turns(browser):
 def test_the_task_of_the_bar(service, browser):
     """It is the task of the Lab's score, of Home and of Designs, is kept, and is in the link."""
     def choose(name):
-        browser.run("const e = document.querySelector('header select');"
-                    "e.value = arguments[0]; e.dispatchEvent(new Event('change'))", name)
+        if not browser.run("return document.querySelector('#tasks:popover-open')"):
+            browser.run("document.querySelector('[popovertarget=tasks]').click()")
+        browser.until("document.querySelector('#tasks input')")
+        browser.run("document.querySelector(`#tasks input[value=${arguments[0]}]`).click()", name)
 
     bar = genotype((1, 1, 0), (2, 1, 0), (3, 1, 0))
     browser.open("lab?voxels=" + bar)
@@ -275,11 +277,10 @@ def test_the_task_of_the_bar(service, browser):
     browser.run("location.hash = '#/designs'")
     browser.until("document.querySelector('main')?.innerText.includes('morpho-12-walk')")
     assert "#/designs?task=walk" in browser.driver.current_url
-    browser.run("document.querySelector('header select').focus()")
     for name, words in (("climb", "morpho-12-up"), ("walk", "morpho-12-walk")):
         choose(name)  # by keyboard, one after the other
         browser.until(f"document.querySelector('main')?.innerText.includes('{words}')")
-        assert browser.run("return document.activeElement.closest('header select') !== null")
+        assert browser.run("return document.querySelector('#tasks:popover-open') !== null")
     service.evaluate({"designs": [{"voxels": bar}], "environments": "morpho-12-walk"})
     browser.run("location.hash = '#/'")
     browser.until("/^[\\d.]+ m: Walk$/.test(document.querySelector('.way')?.innerText)")
@@ -293,7 +294,7 @@ def test_the_task_of_the_bar(service, browser):
     assert "This store has no scores to rank for this task" in browser.texts(".home")[0]
     browser.run("location.hash = '#/machines'")
     browser.until("document.querySelector('h1')?.innerText === 'Machines'")
-    assert browser.run("return document.querySelector('header select')") is None
+    assert browser.run("return document.querySelector('#tasks')") is None
     browser.open("lab?task=efficient&voxels=" + bar)
     browser.until(SCORED)
     assert "m/kJ ↑ higher is better" in browser.texts(".result")[0]

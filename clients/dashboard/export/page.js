@@ -40,20 +40,17 @@ const arrange = () => {
   Object.assign(stage.camera, stage.isFramed ? { lens: stage.lanes().lens } : apart);
 };
 arrange();
-const [slider, play, side, ghosts, springs] = ['time', 'play', 'side', 'ghosts', 'springs']
+const [slider, play, side, springs] = ['time', 'play', 'side', 'springs']
   .map((id) => document.getElementById(id));
 slider.max = stage.durationS();
 let playing = !matchMedia('(prefers-reduced-motion: reduce)').matches;
 let before;
 driveCamera(canvas, stage.camera, () => { stage.isFramed = false; });
 play.onclick = () => { playing = !playing; };
-const toggle = (sideBySide, areGhosts) => {
-  Object.assign(stage, { sideBySide, ghosts: areGhosts });
+side.onclick = () => {
+  stage.sideBySide = !stage.sideBySide;
   arrange();
 };
-side.onclick = () => toggle(!stage.sideBySide, stage.ghosts);
-ghosts.onclick = () => toggle(false, stage.sideBySide || !stage.ghosts);
-ghosts.hidden = robots.length < 2;
 springs.onclick = () => {
   stage.show.springs = !stage.show.springs;
   stage.show.skin = !stage.show.springs;
@@ -71,14 +68,13 @@ for (const robot of stage.robots) {
   if (playing && before !== undefined) stage.timeS += Math.min((now - before) / 1000, 0.25);
   if (stage.timeS > stage.durationS() + 1) stage.timeS = 0;
   before = now;
-  const { leaders, everyS } = DATA;
+  const { leaders = [], everyS } = DATA;
   const frame = Math.min(Math.floor(stage.timeS / everyS), leaders.length - 1);
   stage.leader = stage.robots[leaders[frame]];
   stage.draw();
   slider.value = Math.min(stage.timeS, stage.durationS());
   play.textContent = playing ? 'Pause' : 'Play';
   side.setAttribute('aria-pressed', stage.sideBySide);
-  ghosts.setAttribute('aria-pressed', stage.ghosts && !stage.sideBySide);
   springs.setAttribute('aria-pressed', stage.show.springs);
   requestAnimationFrame(tick);
 })();`;
@@ -138,8 +134,7 @@ export async function toPage(robots, title, isRace = false, areGhosts = false) {
     `<canvas tabindex="0" aria-label="${escaped}"></canvas>` +
     '<footer><button id="play"></button>' +
     '<input id="time" type="range" min="0" step="any" aria-label="Time">' +
-    '<button id="side">Side by side</button><button id="ghosts">Ghosts</button>' +
-    '<button id="springs">Springs</button>' +
+    '<button id="side">Side by side</button><button id="springs">Springs</button>' +
     '<span id="names"></span></footer>' +
     `<script type="module">const DATA=${safe(JSON.stringify(data))};\n${safe(modules)}\n` +
     `${SCRIPT}</script></html>`;

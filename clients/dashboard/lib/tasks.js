@@ -1,6 +1,5 @@
-/** Tasks: the choice that forms offer, their pictures, and scores in the unit of a task. */
+/** Tasks: the choice that forms offer, and scores in the unit of a task. */
 
-import { svg } from './dom.js';
 import { countOf, score } from './format.js';
 
 /** Ground of the tasks in forms: flat, then rougher and rougher. */
@@ -16,61 +15,109 @@ const slope = (rise) => Array.from({ length: 64 },
 const SETS = { photo: 'paper-test', walk: 'morpho-12-walk', climb: 'morpho-12-up',
   circle: 'morpho-12-circle', path: 'morpho-12-path', shuttle: 'morpho-12-shuttle' };
 
-/**
- * The tasks in forms and in the bar: title, sentence, what a request has as its environments
- * (undefined: the default set), and a picture: the way as the path of an SVG of 64 × 36, and where
- * the light is.
- */
+/** The tasks in forms and in the bar: title, what the robot is to do, and what a request has as its
+ * environments (undefined: the default set). */
 export const TASKS = [
-  { name: 'photo', title: 'Reach the light', about: 'ten lights on rough ground (paper-test)',
-    environments: undefined, way: 'M8 28C22 30 34 18 46 12', light: [52, 9] },
-  { name: 'walk', title: 'Walk', about: 'in one direction, as far as possible in 4 s',
-    environments: onRoughGround('walk'), way: 'M8 24H46', light: [56, 24] },
-  { name: 'climb', title: 'Climb', about: 'gain height on slopes of 1 in 10 and 1 in 7',
+  { name: 'photo', title: 'Reach the light', about: 'Go to ten lights on rough ground (paper-test)',
+    environments: undefined },
+  { name: 'walk', title: 'Walk', about: 'Walk in one direction for 4 s',
+    environments: onRoughGround('walk') },
+  { name: 'climb', title: 'Climb', about: 'Gain height on slopes of 1 in 10 and 1 in 7',
     environments: [{ task: 'climb', terrain_heights_m: slope(0.1) },
-      { task: 'climb', terrain_heights_m: slope(0.14) }],
-    way: 'M8 30L48 14', light: [56, 10], ground: 'M2 34L62 10' },
-  { name: 'circle', title: 'Circle', about: 'walk in a direction that turns once in 4 s',
-    environments: onRoughGround('circle'), way: 'M32 30A11 11 0 1 0 21 19', light: [20, 12] },
-  { name: 'path', title: 'Path', about: 'follow three way-points',
-    environments: onRoughGround('path'), way: 'M10 30H44V10H22', light: [14, 10],
-    points: [[44, 30], [44, 10], [22, 10]] },
-  { name: 'shuttle', title: 'Shuttle', about: 'back and forth, twice',
-    environments: onRoughGround('shuttle'), way: 'M10 14H48V20H10V26H48', light: [54, 26],
-    points: [[48, 20], [10, 20]] },
-  { name: 'pursue', title: 'Pursue', about: 'stay close to a light that flees at 0.3 m/s',
-    environments: onRoughGround('pursue'), way: 'M8 24H34', light: [52, 24],
-    flight: 'M42 24H48M44 20L48 24L44 28' },
-  { name: 'efficient', title: 'Walk on little energy', about: 'meters per kilojoule of the springs',
-    environments: onRoughGround({ guide: { kind: 'ahead' }, objective: 'efficient' }),
-    way: 'M8 26H46', light: [56, 26], ground: 'M8 31H24' },
-  { name: 'jump', title: 'Jump', about: 'on the spot; the light circles once per second',
+      { task: 'climb', terrain_heights_m: slope(0.14) }] },
+  { name: 'circle', title: 'Circle', about: 'Walk in a direction that turns once in 4 s',
+    environments: onRoughGround('circle') },
+  { name: 'path', title: 'Path', about: 'Follow three way-points',
+    environments: onRoughGround('path') },
+  { name: 'shuttle', title: 'Shuttle', about: 'Walk back and forth, twice',
+    environments: onRoughGround('shuttle') },
+  { name: 'pursue', title: 'Pursue', about: 'Stay close to a light that flees at 0.3 m/s',
+    environments: onRoughGround('pursue') },
+  { name: 'efficient', title: 'Walk on little energy', about: 'Walk far with little work of the ' +
+    'springs', environments: onRoughGround({ guide: { kind: 'ahead' }, objective: 'efficient' }) },
+  { name: 'jump', title: 'Jump', about: 'Jump on the spot; the light circles once per second',
     environments: [{ task: { guide: { kind: 'moving', light_xy_m: [4, 2.5], turn_rad_per_s: 6.28 },
-      objective: 'jump' } }],
-    way: 'M28 32V10M24 15L28 10L32 15', light: [52, 22], ground: 'M14 33H42' },
+      objective: 'jump' } }] },
 ].map((task) => ({ ...task, set: SETS[task.name] }));
+
+/** A path has at most this many way-points, each this close to the origin: bounds of the API. */
+export const POINTS_MAX = 16;
+const FAR_M = 1000;
+
+/** Reads way-points, as x_y,x_y in links; null: they are invalid. @param {string} text */
+export function pointsIn(text) {
+  const points = text.split(',').map((point) => point.split('_').map(Number));
+  return points.length <= POINTS_MAX && points.every((point) =>
+    point.length === 2 && point.every((value) => Math.abs(value) <= FAR_M)) ? points : null;
+}
+
+/** Writes way-points so. @param {number[][]} points */
+export const pointsText = (points) => points.map((point) => point.join('_')).join(',');
+
+const DRAWN = 'drawn:';
+
+/** The task to follow a path of the user's. @param {number[][]} points */
+export const drawnTask = (points) => ({
+  name: DRAWN + pointsText(points), title: 'Your path', points,
+  about: `Follow your ${countOf(points.length, 'way-point')}`,
+  environments: onRoughGround({ guide: { kind: 'path', points_m: points }, objective: 'follow' }),
+});
+
+/** Returns the task that has this name in a link, or undefined. */
+export function taskOf(name) {
+  const points = name?.startsWith(DRAWN) ? pointsIn(name.slice(DRAWN.length)) : null;
+  return points ? drawnTask(points) : TASKS.find((task) => task.name === name);
+}
+
+/** What only training runs offer first. */
+export const ANY_LIGHT = { name: 'random', title: 'Reach the light',
+  about: 'Go to lights that stand still, on random terrains', environments: undefined };
 
 /** All tasks of the suite, which only evaluations are in. */
 export const SUITE = { name: 'morpho-12', title: 'All twelve tasks',
-  about: 'ten worlds of each (morpho-12)',
-  environments: 'morpho-12', count: 120, light: [32, 18],
-  way: 'M32 4L40 9L47 18L40 25L32 31L25 26L15 18L23 9Z',
-  ground: 'M32 4V31M15 18H47M23 9L40 25M40 9L25 26' };
+  about: 'Ten worlds of each task (morpho-12)', environments: 'morpho-12', count: 120 };
+
+/** What the names of tasks in requests stand for. */
+const ahead = { kind: 'ahead' };
+const path = (...points) => ({ kind: 'path', points_m: points });
+const NAMED = {
+  walk: { guide: ahead, objective: 'travel' }, climb: { guide: ahead, objective: 'climb' },
+  circle: { guide: { kind: 'turning', turn_rad_per_s: 1.57 }, objective: 'travel' },
+  path: { guide: path([3.5, 2.5], [3.5, 3.5], [2.5, 3.5]), objective: 'follow' },
+  shuttle: { guide: path([3.25, 2.5], [2.5, 2.5], [3.25, 2.5], [2.5, 2.5]), objective: 'follow' },
+  pursue: { guide: { kind: 'moving', light_xy_m: [4, 2.5], velocity_m_per_s: [0.3, 0] },
+    objective: 'pursue' },
+};
 
 /**
- * Returns the picture of a task.
- * @param {{way: string, light: number[], points?: number[][], ground?: string, flight?: string}}
- *   task
+ * Returns a task of a request with its guide and objective.
+ * @returns {{guide: any, objective: any}}
  */
-export function taskPicture({ way, light, points = [], ground, flight }) {
-  const [cx, cy] = light;
-  const path = (name, d) => (d ? svg('path', { class: name, d }) : null);
-  return svg('svg', { viewBox: '0 0 64 36', class: 'sketch', 'aria-hidden': 'true' },
-    [path('ground', ground), path('way', way), path('flight', flight),
-      ...points.map(([x, y]) => svg('circle', { class: 'point', cx: x, cy: y, r: 2 })),
-      svg('circle', { class: 'halo', cx, cy, r: 6 }),
-      svg('circle', { class: 'lamp', cx, cy, r: 3 }),
-    ].filter(Boolean));
+export const spelledOut = (task) => NAMED[task] ??
+  { guide: { kind: 'fixed' }, objective: 'reach', ...(typeof task === 'object' ? task : {}) };
+
+/** What the scores of objectives are, with the unit; without one, lower is better. */
+const closeness = 'mean distance to the light, 1 at the start';
+const SCORES = {
+  reach: 'distance to the light at the end, 1 at the start', approach: closeness,
+  pursue: closeness, travel: 'meters in the direction of the light',
+  follow: 'meters along the path, less the mean distance from it', climb: 'meters of height',
+  efficient: 'meters per kilojoule', jump: 'meters of height, less half of the way',
+};
+
+/**
+ * Says what the score of a task is, and which scores are better.
+ * @param {string|any[]|undefined} environments
+ * @param {string} kind of the job: some show the loss
+ */
+export function scoreWords(environments = [{}], kind) {
+  if (typeof environments === 'string') return 'Score: of each task, in its unit';
+  const [objective, ...others] = new Set(environments.map(({ task }) =>
+    spelledOut(task).objective));
+  const isLoss = kind === 'training' || (kind === 'campaign' && objective === 'efficient');
+  const words = isLoss || others.length ? undefined : SCORES[objective];
+  return words ? `Score: ${words}; ${betterOf(words.startsWith('meters') ? 'm' : '')}`
+    : `Loss: 1 if it does nothing; ${betterOf('')}`;
 }
 
 /** Values of objectives that are measured in meters, from losses: −scale · ln(loss). */

@@ -105,7 +105,8 @@ export function lanesOf(all, max, areGhosts = false) {
     [ground, Math.max(top, ground + 0.3)].map((z) =>
       [start[0] + along * ax + across * ay, start[1] + along * ay - across * ax, z])));
   return { robots, shifts, lane: areGhosts ? null : lane, lens: areGhosts ? 1 : LENS, corners,
-    along: [ax, ay], course: [start[0], start[1], ax, ay], goal, marks: first.world.task?.guide.kind === 'ahead' ? 0.5 : 0 };
+    along: [ax, ay], course: [start[0], start[1], ax, ay], goal,
+    marks: first.world.task?.guide.kind === 'ahead' ? 0.5 : 0 };
 }
 
 /** Half of the height of a picture at a distance of 1 m. */

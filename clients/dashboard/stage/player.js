@@ -146,8 +146,8 @@ export class Player {
         'drawn next to each other. A light that leads the way is drawn close to its robot.',
     });
     this.ghostsToggle = button('Ghosts', () => this.setSide(false, true), {
-      'aria-pressed': 'false', title: 'All robots from the same place on one ground, see-through. ' +
-        'Opaque is the one that you point at or follow, or else the leader.',
+      'aria-pressed': 'false', title: 'All robots start at the same place on one ground, ' +
+        'see-through, except the one that you point at or follow, or else the leader.',
     });
     this.springsToggle = flag('Springs', 'springs');
     this.actuationToggle = flag('Actuation', 'actuation');
@@ -164,7 +164,8 @@ export class Player {
     this.timeRow.append(speed);
     this.toggleRow.append(h('div.pair', {
       role: 'group', 'aria-label': 'Arrangement', hidden: true,
-    }, this.sideToggle, this.raceToggle, this.ghostsToggle), this.followToggle, this.toggles.skin, this.springsToggle);
+    }, this.sideToggle, this.raceToggle, this.ghostsToggle), this.followToggle, this.toggles.skin,
+    this.springsToggle);
     if (!compact) this.toggleRow.append(this.actuationToggle, this.toggles.contacts);
     this.toggleRow.append(this.toggles.trails);
   }

@@ -118,12 +118,12 @@ export async function startAgain(app, job) {
       words.push(typeof named === 'string' ? named : countOf(places.length, 'listed environment'));
     } else if (named !== 'paper-test') {
       kept.world = { name: 'same', title: 'Same as before', environments, count: places.length,
-        about: typeof named === 'string' ? named : countOf(places.length, 'listed environment'),
-        way: 'M8 24H46', light: [56, 24] };
+        shown: places,
+        about: typeof named === 'string' ? named : countOf(places.length, 'listed environment') };
     }
   } else if (named) {
     kept.world = { name: 'same', title: 'Same as before', environments: named, count: 120,
-      about: named, way: 'M8 24H46', light: [56, 24] };
+      about: named };
   }
   Object.assign(proposed, {
     mode: job.mode, kind: job.trainingKind, preset, controller: await controllerOf(job),

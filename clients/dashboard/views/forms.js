@@ -9,7 +9,7 @@ import { shellWord } from '../lib/format.js';
 import { KINDS } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
 import { isSuite } from '../lib/rollouts.js';
-import { SUITE, TASKS } from '../lib/tasks.js';
+import { ANY_LIGHT, SUITE, TASKS } from '../lib/tasks.js';
 import { DESIGNS_HINT, LearnedOn, designsIn } from './form_designs.js';
 import { fieldsOf, hintOf } from './form_fields.js';
 import { announced, copyDialog } from './share.js';
@@ -92,9 +92,12 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {
   const more = h('details.wide', {}, h('summary', {}, 'More'),
     h('div.fields', {}, others.map(({ element }) => element)));
   const estimate = h('p.wide.muted', { 'aria-live': 'polite' });
-  const offered = [...(kept.world ? [kept.world] : []), ...TASKS,
+  const drawn = app.task.points && app.task.name !== kept.world?.name ? [app.task] : [];
+  const offered = [...(kept.world ? [kept.world] : []),
+    ...(kind === 'training' ? [ANY_LIGHT, ...TASKS.slice(1)] : TASKS), ...drawn,
     ...(kind === 'evaluation' ? [SUITE] : [])];
-  const tasks = kind === 'training' || fixed.environments ? null : new TaskChoice(offered, adapt);
+  const tasks = fixed.environments || fixed.tasks ? null
+    : new TaskChoice(offered, adapt, offered[0], kind);
   /** Explains the field in focus; screen readers read it with the field. */
   const hint = h('p.hint.wide.muted', { 'aria-hidden': 'true' });
 

@@ -1,6 +1,6 @@
 /** The stage as a page: any designs, or recordings, side by side or in a race. */
 
-import { button, h, select } from '../lib/dom.js';
+import { button, fill, h, select } from '../lib/dom.js';
 import {
   CHANNELS, recorded, recordingPath, requested, roll, worldOfJob, worldOfSet,
 } from '../lib/rollouts.js';
@@ -11,6 +11,7 @@ import { genotypeOfId, robotOf } from '../lib/body.js';
 import { countOf } from '../lib/format.js';
 import { asJob, linkOf, titleOf } from '../lib/kinds.js';
 import { nameOf } from '../lib/names.js';
+import { POINTS_MAX, pointsIn, pointsText } from '../lib/tasks.js';
 import { trayButton } from './add.js';
 import { Driving } from './drive.js';
 import { breedButton } from './forms.js';
@@ -85,10 +86,21 @@ export async function mount(main, path, parameters, app) {
     load();
   })) : null;
   const keep = trayButton(() => source.founders().map(bodyIn));
+  const words = h('span.muted.world', {}, source.world);
+  /** A path drawn here replaces the light of the world. */
+  const ground = h('div.panel', { id: 'draw', popover: true, onbeforetoggle: async (event) => {
+    if (event.newState !== 'open') return;
+    const { pathPad } = await import('./draw_path.js');
+    fill(ground, pathPad(app, pointsIn(source.link().path ?? '') ?? [], async (points) => {
+      fill(words, await source.follow(points));
+      load();
+    }));
+  } });
   player.toggleRow.append(choose, ...(robots ? [robots] : []), keep, breed,
+    ...(source.follow ? [button('Draw a path', () => {}, { popovertarget: 'draw' }), ground] : []),
     button('Export', () => exportDialog(player, source.exported(environment))),
     button('Commands', () => copyDialog(source.commands(environment))),
-    h('span.muted.world', {}, source.world));
+    words);
   main.replaceChildren(h('h1.visually-hidden', {}, 'Stage'), player.element);
   load(first);
   return {
@@ -129,10 +141,10 @@ async function worldIn(parameters) {
   const world = await placesIn(parameters);
   const path = parameters.get('path');
   if (!path) return world;
-  const points = path.split(',').map((point) => point.split('_').map(Number));
-  if (points.length > 16 || !points.every(([x, y, ...more]) =>
-    Number.isFinite(x) && Number.isFinite(y) && !more.length)) {
-    throw new LinkError(`path=${path.slice(0, 60)}: 1 to 16 way-points are expected, as x_y,x_y.`);
+  const points = pointsIn(path);
+  if (!points) {
+    throw new LinkError(`path=${path.slice(0, 60)}: 1 to ${POINTS_MAX} way-points are expected, ` +
+      'as x_y,x_y.');
   }
   const task = { guide: { kind: 'path', points_m: points }, objective: 'follow' };
   return {
@@ -164,14 +176,14 @@ async function rollouts(parameters) {
   const [world, best] = await Promise.all([worldIn(parameters),
     ids.length ? null : getJson(withQuery('v1/designs', { sort: 'score', limit: 4 }))]);
   if (best) ids = best.items.map((design) => design.robot);
-  const { environments, physics, precision } = world;
+  const { physics, precision } = world;
   /** The same robots with each controller. */
   const controllers = parameters.get('controller')?.split(',') ?? [world.controller];
 
   async function walk(environment, signal, onmore) {
     const robots = [];
     for (const controller of controllers) {
-      const more = await roll(ids.map(designOf), environments[environment],
+      const more = await roll(ids.map(designOf), world.environments[environment],
         { controller, physics, precision, signal, onmore: (some) => {
           onmore([...robots, ...named(some, controller)]);
         } });
@@ -205,15 +217,19 @@ async function rollouts(parameters) {
 
   const how = (environment, controller, output) => ({ world, environment, controller, output });
   return {
-    n: environments.length, nRobots: () => ids.length * controllers.length, walk, choose,
+    n: world.environments.length, nRobots: () => ids.length * controllers.length, walk, choose,
     world: world.words,
     link: () => ({
       designs: ids.join(','), world: parameters.get('world'), set: parameters.get('set'),
       controller: parameters.get('controller'), path: parameters.get('path'),
     }),
     founders: () => ids.map(designOf),
+    async follow(points) {
+      parameters.set('path', pointsText(points));
+      return Object.assign(world, await worldIn(parameters)).words;
+    },
     driven: (environment) => ({
-      environment: environments[environment], number: environment, controller: controllers[0],
+      environment: world.environments[environment], number: environment, controller: controllers[0],
       physics, precision, world: parameters.get('world'), set: parameters.get('set'),
       name: 'morphod',
     }),

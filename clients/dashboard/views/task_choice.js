@@ -1,20 +1,30 @@
-/** The choice of a task in a form. */
+/** The choice of a task, in a form and in the bar. */
 
-import { h } from '../lib/dom.js';
-import { taskPicture } from '../lib/tasks.js';
+import { fill, h } from '../lib/dom.js';
+import { taskPicture } from '../lib/task_picture.js';
+import { TASKS, drawnTask, scoreWords } from '../lib/tasks.js';
 
-/** The choice of a task, by a picture and a sentence. */
+/** Cards of tasks: a picture, what the robot is to do, and what the score means. */
 export class TaskChoice {
-  constructor(tasks, onChange) {
-    this.chosen = tasks[0];
-    this.element = h('fieldset.tasks.wide', {}, h('legend', {}, 'Task'), tasks.map((task) =>
-      h('label.task', {}, h('input', {
+  /**
+   * @param {any[]} tasks
+   * @param {function(): void} onChange
+   * @param {any} chosen
+   * @param {string} kind of the job
+   */
+  constructor(tasks, onChange, chosen = tasks[0], kind = '') {
+    this.chosen = chosen;
+    this.element = h('fieldset.tasks.wide', {}, h('legend', {}, 'Task'), tasks.map((task) => {
+      const shown = task.shown ?? task.environments;
+      return h('label.task', {}, h('input', {
         type: 'radio', name: 'task', value: task.name, checked: task === this.chosen,
         onchange: () => {
           this.chosen = task;
           onChange();
         },
-      }), taskPicture(task), h('strong', {}, task.title), h('span.muted', {}, task.about))));
+      }), taskPicture(shown), h('strong', {}, task.title),
+      h('span.muted', {}, `${task.about}. ${scoreWords(shown, kind)}.`));
+    }));
   }
 
   get environments() {
@@ -25,4 +35,32 @@ export class TaskChoice {
   get count() {
     return this.chosen.count ?? this.chosen.environments?.length;
   }
+}
+
+/**
+ * Fills the menu of the bar: cards, and a path to draw.
+ * @param {any} element a popover
+ * @param {import('../app.js').app} app
+ * @param {function(any): void} choose gets the task
+ */
+export function fillTasks(element, app, choose) {
+  const { task } = app;
+  const own = { ...drawnTask(task.points ?? [[3.1, 2.9], [3.6, 2.4], [4.2, 3]]), name: 'draw',
+    title: 'Draw one', about: 'Draw a path on the ground' };
+  const ground = h('div');
+  const draw = async () => {
+    const { pathPad } = await import('./draw_path.js');
+    fill(ground, pathPad(app, app.task.points ?? [], (points) => choose(drawnTask(points))));
+  };
+  const choice = new TaskChoice([...TASKS, own], () => {
+    fill(ground);
+    if (choice.chosen === own) draw();
+    else choose(choice.chosen);
+  }, task.points ? own : task);
+  // A pointer chooses once; keys move from card to card.
+  choice.element.addEventListener('click', ({ detail, target }) => {
+    if (detail && target.closest('label:not(:last-child)')) element.hidePopover();
+  });
+  fill(element, ground, choice.element);
+  if (task.points) draw();
 }
