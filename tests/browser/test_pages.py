@@ -441,8 +441,8 @@ COPIED = [
     "overview", "runs?kind=campaign&search=walkers&state=succeeded", "campaigns/{campaign}",
     "campaigns/{campaign}/phylogeny", "campaigns/{campaign}/replicates", "trainings",
     "trainings/{training}", "designs", "designs?evaluation={evaluation}", "designs/{design}",
-    "controllers", "lab", "lab?task=walk", "lab?task=jump", "designs?task=circle",
-    "compare?designs={robots}"
+    "controllers", "lab", "lab?task=walk", "lab?task=jump",
+    "lab?task=drawn:3.5_2.5,4_3", "designs?task=circle", "compare?designs={robots}"
 ]
 
 

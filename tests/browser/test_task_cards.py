@@ -6,6 +6,7 @@ import re
 import pytest
 
 from service import DESIGN
+from test_pages import ACCESSIBILITY
 from test_tray import module
 
 OPEN = "document.querySelector('[popovertarget=tasks]').click()"
@@ -142,6 +143,7 @@ def test_a_drawn_path_is_a_task(service, browser):
     browser.until(f"{stage}.world.points?.length === 3")
     assert browser.run(f"return {stage}.world.points") == points
     browser.until("document.querySelector('.result')?.innerText.includes('Your path')")
+    assert browser.run(ACCESSIBILITY) == []
     # With keys: the cross begins at the last way-point.
     browser.run("document.querySelector(arguments[0]).focus()", MAP)
     field = browser.driver.switch_to.active_element
