@@ -11,6 +11,8 @@ import { project } from './math.js';
 /** More names than these would hide the robots. */
 const TAGS_MAX = 16;
 const [HEIGHT_PX, WIDTH_PX, CROWDED_PX] = [22, 90, 24];
+/** Long names are wider than their tag at least is. */
+const WIDER = 1.4;
 
 export class Tags {
   constructor() {
@@ -60,8 +62,12 @@ export class Tags {
         tag.hidden = depth > 1 || Math.abs(px) > 1 || Math.abs(py) > 1;
         // All start at the same position: names that would cover each other are stacked.
         const overlaps = (at) =>
-          Math.abs(at[0] - x) < tagPx && Math.abs(at[1] - y) < HEIGHT_PX;
-        while (!lanes?.lane && placed.some(overlaps)) y -= HEIGHT_PX;
+          Math.abs(at[0] - x) < WIDER * tagPx && Math.abs(at[1] - y) < HEIGHT_PX;
+        let step = -HEIGHT_PX;
+        while (!lanes?.lane && placed.some(overlaps)) {
+          if (y < HEIGHT_PX) step = HEIGHT_PX; // not above the picture
+          y += step;
+        }
         placed.push([x, y]);
       }
       tag.style.transform = `translate(${x.toFixed(1)}px, ${(y + offsetTop).toFixed(1)}px)`;
