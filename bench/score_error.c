@@ -3,10 +3,11 @@
  * Random bodies are scored as in an evaluation that estimates errors: with the default settings, in
  * float32, each in four environments of the paper's test set. The limit of a score is computed in
  * float64 with steps of 1/64 ms and the same control period. The environments reported as
- * bifurcating are compared with two other sets. In the first, rollouts from the same starts, in
- * float64 with the same step, end apart. In the second, the limit and a rollout with the limit's
- * settings that starts 1e-7 m higher end apart. Two ends are apart if their distance is more than
- * MO_ERROR_BIFURCATION times the distance to the light at the start. */
+ * bifurcating are compared with three other sets, in which losses are apart: those of rollouts as
+ * requested, in float32, that start 1.5e-7, 2.5e-7 or 3.5e-7 m higher, starts that the estimate did
+ * not use; those from the estimate's starts, in float64 with the same step; and the limit and the
+ * loss of a rollout with its settings that starts 1e-7 m higher. Losses are apart if they differ by
+ * more than MO_ERROR_BIFURCATION. */
 #include "bench.h"
 
 #include <math.h>
@@ -43,25 +44,16 @@ static struct mo_block *simulate(const struct bench *b, const struct mo_physics 
   return blocks;
 }
 
-static double distance_m(const double a[3], const double b[3])
-{
-  return hypot(hypot(a[0] - b[0], a[1] - b[1]), a[2] - b[2]);
-}
-
 /* Returns the environments in which the ends of a body's n rollouts are apart, as bits. */
 static uint64_t bifurcations(struct mo_block *const *runs, uint32_t n, uint32_t body)
 {
   uint64_t found = 0;
-  for (uint32_t k = 0; k < ENVIRONMENTS; k++) {
-    const double *start = runs[0][body].outcomes[k].com_start_m,
-                 *light = runs[0][body].environments[k]->light_xy_m;
-    const double apart_m = MO_ERROR_BIFURCATION * hypot(start[0] - light[0], start[1] - light[1]);
+  for (uint32_t k = 0; k < ENVIRONMENTS; k++)
     for (uint32_t i = 0; i < n; i++)
       for (uint32_t j = 0; j < i; j++)
-        if (distance_m(runs[i][body].outcomes[k].com_end_m, runs[j][body].outcomes[k].com_end_m) >
-            apart_m)
+        if (fabs(runs[i][body].outcomes[k].loss - runs[j][body].outcomes[k].loss) >
+            MO_ERROR_BIFURCATION)
           found |= UINT64_C(1) << k;
-  }
   return found;
 }
 
@@ -95,18 +87,19 @@ static void print_agreement(const struct bench *b, const char *where,
 
 /* The rollouts of all bodies. */
 struct runs {
-  struct mo_block *estimate[RUNS];                    /* float32 */
-  struct mo_block *same_step[1 + MO_ERROR_DISPLACED]; /* float64: as requested, displaced */
-  struct mo_block *limit[2];                          /* float64: the limit, displaced */
+  struct mo_block *estimate[RUNS];                      /* float32 */
+  struct mo_block *as_computed[1 + MO_ERROR_DISPLACED]; /* float32: as requested, other starts */
+  struct mo_block *same_step[1 + MO_ERROR_DISPLACED];   /* float64: as requested, displaced */
+  struct mo_block *limit[2];                            /* float64: the limit, displaced */
 };
 
 static void compare(const struct bench *b, const struct runs *runs)
 {
   double *widths = bench_zeros(b->n, sizeof(*widths));
-  struct agreement same_step = {0}, at_limit = {0};
+  struct agreement as_computed = {0}, same_step = {0}, at_limit = {0};
   uint32_t covered = 0;
-  printf("body,score,limit,low,high,discretization,rounding,standard_error,bifurcates,same_step,"
-         "at_limit\n");
+  printf("body,score,limit,low,high,discretization,rounding,standard_error,bifurcates,as_computed,"
+         "same_step,at_limit\n");
   for (uint32_t i = 0; i < b->n; i++) {
     double losses[RUNS][ENVIRONMENTS];
     for (uint32_t run = 0; run < RUNS; run++)
@@ -115,20 +108,23 @@ static void compare(const struct bench *b, const struct runs *runs)
     const struct mo_score_error error = mo_score_error_of(
         losses[0], MO_ERROR_DISPLACED, ENVIRONMENTS, runs->estimate[0]->physics.scheme.integrator);
     const double limit = mean_loss(&runs->limit[0][i]);
-    const uint64_t same = bifurcations(runs->same_step, 1 + MO_ERROR_DISPLACED, i),
+    const uint64_t computed = bifurcations(runs->as_computed, 1 + MO_ERROR_DISPLACED, i),
+                   same = bifurcations(runs->same_step, 1 + MO_ERROR_DISPLACED, i),
                    fine = bifurcations(runs->limit, 2, i);
     covered += error.low <= limit && limit <= error.high;
     widths[i] = (error.high - error.low) / 2;
+    add(&as_computed, error.bifurcates, computed);
     add(&same_step, error.bifurcates, same);
     add(&at_limit, error.bifurcates, fine);
-    printf("%u,%.6f,%.6f,%.6f,%.6f,%.3e,%.3e,%.3e,%llu,%llu,%llu\n", i,
+    printf("%u,%.6f,%.6f,%.6f,%.6f,%.3e,%.3e,%.3e,%llu,%llu,%llu,%llu\n", i,
            mean_loss(&runs->estimate[0][i]), limit, error.low, error.high, error.discretization,
            error.rounding, error.standard_error, (unsigned long long)error.bifurcates,
-           (unsigned long long)same, (unsigned long long)fine);
+           (unsigned long long)computed, (unsigned long long)same, (unsigned long long)fine);
   }
   fprintf(stderr, "limit within the interval: %.1f %% of %u; half-width: median %.4f, 90 %% %.4f\n",
           100.0 * covered / b->n, b->n, bench_median(widths, b->n),
           bench_quantile(widths, b->n, 0.9));
+  print_agreement(b, "as computed, from other starts", &as_computed);
   print_agreement(b, "with the same step in float64", &same_step);
   print_agreement(b, "at the limit", &at_limit);
 }
@@ -147,6 +143,12 @@ int bench_score_error(const struct bench_options *options)
     runs.estimate[run] = simulate(&b, &of_run, MO_FLOAT32);
     if (run != 1)
       runs.same_step[run > 0 ? run - 1 : 0] = simulate(&b, &of_run, MO_FLOAT64);
+  }
+  runs.as_computed[0] = runs.estimate[0];
+  for (uint32_t i = 1; i <= MO_ERROR_DISPLACED; i++) {
+    struct mo_physics higher = physics;
+    higher.drop_height_m += (i + 0.5) * MO_ERROR_DISPLACEMENT_M;
+    runs.as_computed[i] = simulate(&b, &higher, MO_FLOAT32);
   }
   fprintf(stderr, "estimates: done\n");
   if (fine.scheme.control_period_s == 0)
