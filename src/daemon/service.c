@@ -260,8 +260,8 @@ static int store_controller(struct service *service, const char *path, bool is_d
 }
 
 /* Stores the controllers of the first start: the default one as "default" and under the name of its
- * file, which remains when "default" is replaced; and, unless the settings name another, the one
- * that was made for the paper's physics. */
+ * file, which remains when "default" is replaced; and, unless the settings name another, the other
+ * installed ones. */
 static int store_default_controller(struct service *service, const struct settings *settings,
                                     struct mo_message *message)
 {
@@ -276,6 +276,8 @@ static int store_default_controller(struct service *service, const struct settin
   if (path != NULL)
     return store_controller(service, path, true, message);
   status = store_controller(service, PAPER_CONTROLLER, false, message);
+  if (status == MO_OK)
+    status = store_controller(service, GENERALIST_CONTROLLER, false, message);
   return status == MO_OK ? store_controller(service, SHIPPED_CONTROLLER, true, message) : status;
 }
 

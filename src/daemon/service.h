@@ -10,9 +10,11 @@
 
 #include "daemon/settings.h"
 
-/* The installed controllers: the default one, and the one for the paper's physics. */
-#define SHIPPED_CONTROLLER MORPHOD_DATADIR "/controllers/phototaxis-16ms.safetensors"
-#define PAPER_CONTROLLER   MORPHOD_DATADIR "/controllers/phototaxis.safetensors"
+/* The installed controllers: the default one, the one for the paper's physics, and the one that was
+ * trained with all guides. */
+#define SHIPPED_CONTROLLER    MORPHOD_DATADIR "/controllers/phototaxis-16ms.safetensors"
+#define PAPER_CONTROLLER      MORPHOD_DATADIR "/controllers/phototaxis.safetensors"
+#define GENERALIST_CONTROLLER MORPHOD_DATADIR "/controllers/generalist-16ms.safetensors"
 
 /* Exit statuses (morphod(8)), numbered as in sysexits.h. */
 enum exit_status {
