@@ -180,7 +180,7 @@ def test_work_counts(start):
 def test_climbs_survive_a_restart(start, tmp_path):
     """Stored rungs are not recomputed, and the results are the same."""
     request = REQUEST | {"designs": BODIES[3:], "priority": "batch",
-                         "physics": {"n_steps": 6000, "dt_s": 0.004}}
+                         "physics": {"n_steps": 2500, "dt_s": 0.004}}
     first = start(state=tmp_path)
     id = first.post("/v1/evaluations", request)["id"]
     path = f"/v1/evaluations/{id}"
