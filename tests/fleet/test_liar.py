@@ -7,7 +7,7 @@ from liar import Liar
 from machines import events, fleet_address
 
 # Short rollouts, so that a lease has many: thousands in each generation.
-VALUE = {"mode": "zero-shot", "population": 1500, "generations": 10000, "physics": {"n_steps": 20},
+VALUE = {"mode": "zero-shot", "population": 1500, "generations": 10000, "physics": {"n_steps": 4},
          "exclude_pretraining": False}
 LEASES = 500  # a liar must be found within this many of its leases
 REFUSED = 76
