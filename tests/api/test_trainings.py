@@ -66,7 +66,7 @@ def test_a_preset_and_what_is_named_over_it(service):
     request = TRAIN | {"preset": "phototaxis", "adam": {"beta2": 0.99}, "adjoint_bound": 4}
     CONTRACT.validate({"$ref": "#/components/schemas/TrainingRequest"}, request, "a preset")
     training = service.post("/v1/trainings", request)
-    assert service.act(training["id"], "cancel").status == 200
+    service.withdraw(training["id"])
     assert training["settings"] | {
         "steps": 6, "batch": 4, "adam": {"beta1": 0.8, "beta2": 0.99, "epsilon": 1e-08},
         "adjoint_bound": 4, "adjoint_rule": "restart", "restart_weight": 3, "seed": 1,
@@ -125,7 +125,7 @@ TUNED = {"kind": "cosine", "peak": 3e-4, "floor": 1e-6, "warmup_steps": 0}
       "restart_weight": 0})])
 def test_settings_of_requests(service, request_, shown):
     training = service.post("/v1/trainings", request_)
-    assert service.act(training["id"], "cancel").status == 200
+    service.withdraw(training["id"])
     assert holds(training["settings"], shown), training["settings"]
     assert (training["parent"] is None) == (request_["kind"] == "pretrain")
 
@@ -133,7 +133,7 @@ def test_settings_of_requests(service, request_, shown):
 def test_words_with_escapes(service):
     body = b'{"kind":"pretrain","preset":"\\u0070aper","steps":2}'
     training = service.post("/v1/trainings", body=body)
-    assert service.act(training["id"], "cancel").status == 200
+    service.withdraw(training["id"])
     assert training["settings"]["batch"] == 8192 and training["settings"]["steps"] == 2
 
 
