@@ -25,6 +25,7 @@ ROOMS = {
     "compute": [],
     "learning": [],
     "evolution": [],
+    "atlas": [],
     "store": ["sqlite3.h"],
     "exchange": ["zstd.h"],
     "fleet": [],
@@ -47,7 +48,7 @@ PUBLIC = {
     "controller.h": "controller", "measure.h": "world", "rollout.h": "rollout",
     "state.h": "rollout", "gradient.h": "rollout",
     "score_error.h": "rollout", "score_ladder.h": "rollout", "compute.h": "compute",
-    "learning.h": "learning", "evolution.h": "evolution"
+    "learning.h": "learning", "evolution.h": "evolution", "atlas.h": "atlas"
 }
 SPEAKS = re.compile(
     r"(?<![\w.>])(?:exit|_exit|abort|printf|puts|perror|syslog)\s*\(|\b(?:stdout|stderr)\b")

@@ -1,0 +1,146 @@
+/* bodies.c: classes of bodies, and the stream of all bodies of a class. */
+#include "atlas/bodies.h"
+
+#include "atlas/keys.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+int mo_atlas_class_check(const struct mo_atlas_class *class, struct mo_message *message)
+{
+  const int error = mo_workspace_check(class->workspace);
+  if (error == MO_ERR_RANGE)
+    return mo_fail(message, error, "each side of the workspace must be at least 1");
+  if (error != MO_OK || mo_workspace_voxels(class->workspace) > MO_ATLAS_WORKSPACE_MAX)
+    return mo_fail(message, MO_ERR_LIMIT, "the workspace must have at most %d voxels",
+                   MO_ATLAS_WORKSPACE_MAX);
+  if (class->voxels_max < 1 || class->voxels_max > MO_ATLAS_VOXELS_MAX)
+    return mo_fail(message, MO_ERR_RANGE, "voxels_max must be at least 1 and at most %d, got %u",
+                   MO_ATLAS_VOXELS_MAX, class->voxels_max);
+  return MO_OK;
+}
+
+struct mo_atlas_bodies {
+  struct mo_atlas_class class;
+  struct mo_atlas_sets sets;
+  uint32_t n_voxels;                    /* the size whose keys are held; 0: none yet */
+  uint32_t n_counted;                   /* sizes 1 … n_counted were counted */
+  uint64_t counts[MO_ATLAS_VOXELS_MAX]; /* of those sizes */
+  uint64_t *keys;                       /* (counts[n_voxels − 1]) */
+  uint64_t at;                          /* the next key */
+};
+
+int mo_atlas_bodies_create(const struct mo_atlas_class *class, struct mo_atlas_bodies **bodies)
+{
+  const int error = mo_atlas_class_check(class, NULL);
+  if (error != MO_OK)
+    return error;
+  struct mo_atlas_bodies *made = calloc(1, sizeof(*made));
+  if (made == NULL)
+    return MO_ERR_NO_MEMORY;
+  made->class = *class;
+  mo_atlas_sets_fill(class->workspace, &made->sets);
+  *bodies = made;
+  return MO_OK;
+}
+
+void mo_atlas_bodies_free(struct mo_atlas_bodies *bodies)
+{
+  if (bodies == NULL)
+    return;
+  free(bodies->keys);
+  free(bodies);
+}
+
+/* Holds the keys of another size. */
+static int turn_to(struct mo_atlas_bodies *bodies, uint32_t n_voxels)
+{
+  uint64_t *keys = NULL;
+  uint64_t n = 0;
+  const int error = mo_atlas_keys_find(bodies->class.workspace, &bodies->sets, n_voxels, &keys, &n);
+  if (error != MO_OK)
+    return error;
+  free(bodies->keys);
+  bodies->keys = keys;
+  bodies->n_voxels = n_voxels;
+  bodies->counts[n_voxels - 1] = n;
+  if (bodies->n_counted < n_voxels)
+    bodies->n_counted = n_voxels;
+  bodies->at = 0;
+  return MO_OK;
+}
+
+int mo_atlas_bodies_next_key(struct mo_atlas_bodies *bodies, uint32_t *n_voxels, uint64_t *key)
+{
+  while (bodies->n_voxels == 0 || bodies->at == bodies->counts[bodies->n_voxels - 1]) {
+    if (bodies->n_voxels == bodies->class.voxels_max)
+      return MO_ERR_EXHAUSTED;
+    const int error = turn_to(bodies, bodies->n_voxels + 1);
+    if (error != MO_OK)
+      return error;
+  }
+  *n_voxels = bodies->n_voxels;
+  *key = bodies->keys[bodies->at++];
+  return MO_OK;
+}
+
+int mo_atlas_bodies_next(struct mo_atlas_bodies *bodies, uint64_t *form)
+{
+  uint32_t n_voxels = 0, voxels[MO_ATLAS_VOXELS_MAX];
+  uint64_t key = 0;
+  const int error = mo_atlas_bodies_next_key(bodies, &n_voxels, &key);
+  if (error != MO_OK)
+    return error;
+  mo_atlas_key_voxels(&bodies->sets, key, n_voxels, voxels);
+  mo_atlas_bits_of(bodies->class.workspace, voxels, n_voxels, form);
+  return MO_OK;
+}
+
+/* Counts size n. Its keys replace those that the stream holds only if the caller needs them. */
+static int count(struct mo_atlas_bodies *bodies, uint32_t n)
+{
+  uint64_t *keys = NULL;
+  if (n <= bodies->n_counted)
+    return MO_OK;
+  const int error =
+      mo_atlas_keys_find(bodies->class.workspace, &bodies->sets, n, &keys, &bodies->counts[n - 1]);
+  if (error != MO_OK)
+    return error;
+  free(keys);
+  bodies->n_counted = n;
+  return MO_OK;
+}
+
+int mo_atlas_bodies_seek(struct mo_atlas_bodies *bodies, uint64_t position)
+{
+  uint64_t before = 0; /* bodies of smaller sizes */
+  for (uint32_t n = 1; n <= bodies->class.voxels_max; n++) {
+    int error = count(bodies, n);
+    const uint64_t its = bodies->counts[n - 1];
+    if (error == MO_OK && (position < before + its || n == bodies->class.voxels_max)) {
+      if (position > before + its)
+        return MO_ERR_RANGE;
+      if (n != bodies->n_voxels)
+        error = turn_to(bodies, n);
+      if (error == MO_OK)
+        bodies->at = position - before;
+      return error;
+    }
+    if (error != MO_OK)
+      return error;
+    before += its;
+  }
+  return MO_ERR_RANGE;
+}
+
+int mo_atlas_bodies_count(struct mo_atlas_bodies *bodies, uint64_t counts[MO_ATLAS_VOXELS_MAX])
+{
+  for (uint32_t n = 1; n <= bodies->class.voxels_max; n++) {
+    const int error = count(bodies, n);
+    if (error != MO_OK)
+      return error;
+  }
+  memset(counts, 0, MO_ATLAS_VOXELS_MAX * sizeof(*counts));
+  memcpy(counts, bodies->counts, bodies->class.voxels_max * sizeof(*counts));
+  return MO_OK;
+}
