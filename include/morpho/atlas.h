@@ -53,7 +53,79 @@ int mo_atlas_bodies_seek(struct mo_atlas_bodies *bodies, uint64_t position);
  * were not found before. MO_ERR_NO_MEMORY. */
 int mo_atlas_bodies_count(struct mo_atlas_bodies *bodies, uint64_t counts[MO_ATLAS_VOXELS_MAX]);
 
-// PART2
+/* ---- files ---- */
+
+enum mo_atlas_orientations {
+  MO_ATLAS_CANONICAL = 0, /* a body has the score of its canonical form */
+  MO_ATLAS_IMAGES = 1     /* the mean over its distinct images that fit the workspace */
+};
+extern const char *const mo_atlas_orientation_words[]; /* "canonical", "images", NULL */
+
+/* Writes the placed designs that are scored for a body: one, or its distinct images in the order of
+ * their orientations (mo_genotype_robot). Returns their number, at most 8. */
+uint32_t mo_atlas_designs(const struct mo_atlas_class *class, const uint64_t *form,
+                          enum mo_atlas_orientations orientations,
+                          struct mo_bits designs[MO_ORIENTATIONS]);
+
+/* What the losses of a file depend on, with the environments. */
+struct mo_atlas_source {
+  struct mo_atlas_class class;
+  enum mo_atlas_orientations orientations;
+  uint8_t controller_sha256[32];
+  uint8_t physics_sha256[32];
+  char fingerprint[MO_ATLAS_FINGERPRINT]; /* of the code that computed the losses: printable ASCII;
+                                             "": unknown */
+};
+
+/* Writes a file, body by body in order. Until it is complete, it is PATH.part. If the process or
+ * the machine stops, a new writer of the same path continues after the last whole block, which is
+ * durable. The same source, environments and losses give the same bytes. Not for concurrent use. */
+struct mo_atlas_writer;
+/* environments: (n). Finds all bodies of the class first, to count them. MO_ERR_CONFLICT: PATH
+ * exists, or PATH.part belongs to another atlas; MO_ERR_BUSY: another writer has it; MO_ERR_RANGE,
+ * MO_ERR_INVALID, MO_ERR_LIMIT, MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY, MO_ERR_IO. */
+int mo_atlas_writer_create(const char *path, const struct mo_atlas_source *source,
+                           const struct mo_environment *environments, uint32_t n,
+                           struct mo_atlas_writer **writer, struct mo_message *message);
+/* Closes the files; NULL-safe. An unfinished PATH.part stays. */
+void mo_atlas_writer_free(struct mo_atlas_writer *writer);
+uint64_t mo_atlas_writer_position(const struct mo_atlas_writer *writer); /* the next body */
+uint64_t mo_atlas_writer_bodies(const struct mo_atlas_writer *writer);   /* in all */
+/* Adds the next body. form: to check that it is this one (MO_ERR_CONFLICT: nothing was added).
+ * losses: (n environments), with `images` the means over the images; finite or +infinity
+ * (MO_ERR_INVALID: nothing was added). After MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY or MO_ERR_IO, free
+ * the writer; a new one continues. */
+int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses);
+/* Completes the file durably. MO_ERR_INVALID: bodies are missing; otherwise as for
+ * mo_atlas_writer_add. After an error, PATH may exist: then it is complete, but its name may not
+ * survive a power failure. */
+int mo_atlas_writer_finish(struct mo_atlas_writer *writer, struct mo_message *message);
+
+/* A file, mapped read-only. Const after it is opened: any number of threads may use it. It must not
+ * be changed as long as it is open. */
+struct mo_atlas;
+/* Reads the whole file once, to check it. MO_ERR_NOT_FOUND; MO_ERR_FORMAT: not an atlas;
+ * MO_ERR_UNSUPPORTED: another version or byte order; MO_ERR_CORRUPT: truncated, altered or
+ * unsorted; MO_ERR_IO, MO_ERR_NO_MEMORY. */
+int mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *message);
+void mo_atlas_close(struct mo_atlas *atlas); /* NULL-safe */
+
+const struct mo_atlas_source *mo_atlas_source_of(const struct mo_atlas *atlas);
+/* Returns the environments; *n: their number. */
+const struct mo_environment *mo_atlas_environments(const struct mo_atlas *atlas, uint32_t *n);
+uint64_t mo_atlas_bodies_of(const struct mo_atlas *atlas); /* in all */
+/* Returns the number of bodies of n_voxels voxels; *first (nullable): the position of the first. */
+uint64_t mo_atlas_size(const struct mo_atlas *atlas, uint32_t n_voxels, uint64_t *first);
+
+/* Finds a body in any place and orientation. MO_ERR_NOT_FOUND: it is not in the class. */
+int mo_atlas_find(const struct mo_atlas *atlas, const uint64_t *bits, uint64_t *position);
+/* For positions below mo_atlas_bodies_of. form: words of the workspace. Returns the voxels. */
+uint32_t mo_atlas_form(const struct mo_atlas *atlas, uint64_t position, uint64_t *form);
+/* Returns the mean loss over the environments: that of float64, rounded to float32. */
+float mo_atlas_score(const struct mo_atlas *atlas, uint64_t position);
+/* losses: (n environments), with 11 significant bits each; finite ones are at most 65504. */
+void mo_atlas_losses(const struct mo_atlas *atlas, uint64_t position, float *losses);
+
 #ifdef __cplusplus
 }
 #endif

@@ -1,7 +1,9 @@
-/* bodies.c: classes of bodies, and the stream of all bodies of a class. */
+/* bodies.c: classes of bodies, the stream of all bodies of a class, and
+ * the designs of a body. */
 #include "atlas/bodies.h"
 
 #include "atlas/keys.h"
+#include "morphospace/grid.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -143,4 +145,25 @@ int mo_atlas_bodies_count(struct mo_atlas_bodies *bodies, uint64_t counts[MO_ATL
   memset(counts, 0, MO_ATLAS_VOXELS_MAX * sizeof(*counts));
   memcpy(counts, bodies->counts, bodies->class.voxels_max * sizeof(*counts));
   return MO_OK;
+}
+
+uint32_t mo_atlas_designs(const struct mo_atlas_class *class, const uint64_t *form,
+                          enum mo_atlas_orientations orientations,
+                          struct mo_bits designs[MO_ORIENTATIONS])
+{
+  const uint32_t words = mo_workspace_words(class->workspace);
+  const unsigned images = orientations == MO_ATLAS_IMAGES ? MO_ORIENTATIONS : 1;
+  uint32_t n = 0;
+  for (unsigned k = 0; k < images; k++) {
+    struct mo_bits *design = &designs[n];
+    uint32_t same = 0;
+    memset(design, 0, sizeof(*design));
+    if (mo_shape_image(class->workspace, form, k, design->words) != MO_OK)
+      continue;
+    mo_genotype_place(class->workspace, design->words);
+    while (same < n && memcmp(designs[same].words, design->words, words * sizeof(uint64_t)) != 0)
+      same++;
+    n += same == n;
+  }
+  return n;
 }

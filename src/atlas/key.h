@@ -9,8 +9,9 @@
 
 #include <morpho/atlas.h>
 
-/* of[v][n]: the number of sets of n voxels among v (Pascal's triangle). Whoever needs keys has this
- * table, 17 KB: with the quotients of factorials, a key would take longer than its look-up. */
+/* of[v][n]: the number of sets of n voxels among v (Pascal's triangle). 17 KB that
+ * every stream and every open atlas has: with quotients of factorials, making a key would take
+ * longer than looking it up. */
 struct mo_atlas_sets {
   uint32_t voxels; /* of the workspace */
   uint64_t of[MO_ATLAS_WORKSPACE_MAX + 1][MO_ATLAS_VOXELS_MAX + 1];

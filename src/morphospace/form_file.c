@@ -6,16 +6,15 @@
  * Checked pages are in the page cache, which may drop them when memory is short. */
 #include "morphospace/form_file.h"
 
+#include "base/files.h"
 #include "base/thread.h"
 #include "morphospace/form_set.h"
 
-#include <errno.h>
 #include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 static const char magic[16] = "morphod forms 1";
 
@@ -90,19 +89,6 @@ int mo_form_file_write(const struct mo_form_set *set, const struct mo_form_key *
 
 /* ---- reading ---- */
 
-static int read_at(int fd, uint64_t from, size_t size, void *bytes)
-{
-  for (size_t filled = 0; filled < size;) {
-    const ssize_t n = pread(fd, (uint8_t *)bytes + filled, size - filled, (off_t)(from + filled));
-    if (n == 0)
-      return MO_ERR_CORRUPT;
-    if (n < 0 && errno != EINTR)
-      return MO_ERR_IO;
-    filled += n > 0 ? (size_t)n : 0;
-  }
-  return MO_OK;
-}
-
 struct checking {
   int fd;
   const struct tail *tail;
@@ -123,7 +109,7 @@ static void check_some(void *context, size_t first, size_t end)
     const size_t size = tail->tables[i].capacity * tail->form_bytes;
     if (size == 0)
       continue;
-    error = read_at(checking->fd, checking->begins[i], size, bytes);
+    error = mo_file_read_at(checking->fd, checking->begins[i], size, bytes);
     if (error == MO_OK && mo_form_hash(bytes, size) != tail->tables[i].checksum)
       error = MO_ERR_CORRUPT;
   }
@@ -145,7 +131,7 @@ static int read_tail(int fd, struct mo_workspace workspace, const struct mo_form
   *size = (uint64_t)status.st_size;
   if (*size < sizeof(*tail))
     return MO_ERR_CORRUPT;
-  const int error = read_at(fd, *size - sizeof(*tail), sizeof(*tail), tail);
+  const int error = mo_file_read_at(fd, *size - sizeof(*tail), sizeof(*tail), tail);
   if (error != MO_OK)
     return error;
   if (checksum_of(tail) != tail->checksum)

@@ -15,12 +15,6 @@
 
 #define PIECE_BYTES ((size_t)1 << 20)
 
-/* Lack of descriptors or memory is temporary, and not a fault of the file. */
-static int open_error(void)
-{
-  return errno == EMFILE || errno == ENFILE || errno == ENOMEM ? MO_ERR_NO_MEMORY : MO_ERR_IO;
-}
-
 static int read_all(int fd, size_t size, uint8_t *bytes)
 {
   for (size_t filled = 0; filled < size;) {
@@ -40,7 +34,7 @@ int mo_file_read(const char *path, size_t size, uint8_t **ret)
   struct stat status;
   int error = MO_OK;
   if (fd < 0)
-    return errno == ENOENT ? MO_ERR_NOT_FOUND : open_error();
+    return errno == ENOENT ? MO_ERR_NOT_FOUND : mo_open_error();
   if (fstat(fd, &status) != 0 || (uint64_t)status.st_size != size)
     error = MO_ERR_CORRUPT;
   else if ((bytes = malloc(size > 0 ? size : 1)) == NULL)
@@ -71,14 +65,6 @@ int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *
 }
 
 /* ---- writing ---- */
-
-const struct mo_file_operations mo_system_files = {open,   write,  fsync, close,
-                                                   rename, unlink, mkdir, rmdir};
-
-int mo_file_error(void)
-{
-  return errno == ENOSPC || errno == EDQUOT || errno == EFBIG ? MO_ERR_NO_SPACE : open_error();
-}
 
 static int write_and_sync(const struct mo_store *store, int fd, const uint8_t *bytes, size_t size)
 {
@@ -137,7 +123,7 @@ int mo_folder_sync(struct mo_store *store, const char *path)
   int fd = files->open(path, O_RDONLY | O_CLOEXEC | O_DIRECTORY);
   int error = MO_OK;
   if (fd < 0)
-    error = open_error();
+    error = mo_open_error();
   else if (files->sync(fd) != 0)
     error = MO_ERR_IO;
   if (fd >= 0)

@@ -24,11 +24,11 @@
 #ifndef MORPHO_STORE_STORE_H
 #define MORPHO_STORE_STORE_H
 
+#include "base/files.h"
 #include "store/controllers.h"
 #include "store/designs.h"
 #include "store/evaluations.h"
 #include "store/events.h"
-#include "store/files.h"
 #include "store/labels.h"
 
 struct mo_store_config {

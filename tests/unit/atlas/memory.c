@@ -1,7 +1,7 @@
 /* memory.c: no failed allocation leaks, crashes or changes what was there. */
-#include "../failing.h"
+#include "fixture.h"
 
-#include <morpho/atlas.h>
+#include "../failing.h"
 
 static int stream(void)
 {
@@ -19,10 +19,36 @@ static int stream(void)
   return error;
 }
 
+static char path[FIXTURE_PATH];
+
+static int write_and_open(void)
+{
+  const struct mo_atlas_source source = fixture_source(5);
+  struct mo_environment environments[MO_PAPER_TEST_COUNT];
+  struct mo_atlas *atlas = NULL;
+  mo_environment_paper_test(environments);
+  int error = fixture_write(&mo_system_files, path, &source, environments, 3, 10, NULL);
+  if (error == MO_OK || error == MO_ERR_CONFLICT) /* it failed after it had finished the file */
+    error = mo_atlas_open(path, &atlas, NULL);
+  mo_atlas_close(atlas);
+  if (error == MO_OK)
+    (void)unlink(path);
+  return error;
+}
+
+static void files(void)
+{
+  snprintf(path, sizeof(path), "%s/a.atlas", fixture_folder());
+  each_fails(write_and_open, 20);
+}
+
 static void streams(void)
 {
   each_fails(stream, 20);
 }
 
-static const struct check_case cases[] = {{"a stream of bodies", streams}};
+static const struct check_case cases[] = {
+    {"a stream of bodies", streams},
+    {"writing and opening a file", files},
+};
 CHECK_MAIN(cases)

@@ -11,7 +11,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "store/files.h"
+#include "base/files.h"
 
 struct disk;
 

@@ -1,0 +1,338 @@
+/* file.c: opens atlas files, and looks bodies up in them.
+ *
+ * Opening reads the file with system calls, which report disk errors, and checks everything that
+ * the queries rely on. After that, a look-up is two binary searches, over the first keys of the
+ * size's blocks and over the keys of one block, which are in 32 KB. */
+#include "atlas/file.h"
+
+#include "atlas/losses.h"
+#include "base/files.h"
+#include "morphospace/form_set.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#define REMEDY "remove it and write the atlas again"
+
+const char *const mo_atlas_orientation_words[] = {"canonical", "images", NULL};
+
+/* ---- opening ---- */
+
+static struct mo_atlas_class class_of(const struct mo_atlas_head *head)
+{
+  return (struct mo_atlas_class){
+      .workspace = {(uint16_t)head->sides[0], (uint16_t)head->sides[1], (uint16_t)head->sides[2]},
+      .voxels_max = head->voxels_max};
+}
+
+/* Returns whether the numbers of a head are within their bounds, in a file of this size. */
+static bool is_sound(const struct mo_atlas_head *head, uint64_t file_bytes)
+{
+  const struct mo_atlas_class class = class_of(head);
+  uint64_t bodies = 0;
+  for (int axis = 0; axis < 3; axis++)
+    if (head->sides[axis] > UINT16_MAX)
+      return false;
+  if (mo_atlas_class_check(&class, NULL) != MO_OK || head->orientations > MO_ATLAS_IMAGES ||
+      head->n_environments < 1 || head->n_environments > MO_ATLAS_ENVIRONMENTS_MAX ||
+      head->block_bodies != MO_ATLAS_BLOCK || head->environments_bytes % 8 != 0 ||
+      memchr(head->fingerprint, '\0', sizeof(head->fingerprint)) == NULL)
+    return false;
+  for (uint32_t i = 0; i < MO_ATLAS_VOXELS_MAX; i++) {
+    if (head->counts[i] > file_bytes || (i >= head->voxels_max && head->counts[i] > 0))
+      return false;
+    bodies += head->counts[i];
+  }
+  return bodies > 0 && bodies <= UINT32_MAX;
+}
+
+int mo_atlas_head_check(const struct mo_atlas_head *head, uint64_t file_bytes,
+                        struct mo_message *message)
+{
+  struct mo_atlas_layout layout;
+  if (file_bytes < sizeof(head->magic) ||
+      memcmp(head->magic, MO_ATLAS_MAGIC, sizeof(head->magic)) != 0)
+    return mo_fail(message, MO_ERR_FORMAT, "this is not an atlas file: check its name");
+  if (file_bytes < sizeof(*head))
+    return mo_fail(message, MO_ERR_CORRUPT, "the atlas file is truncated: " REMEDY);
+  if (head->byte_order != MO_ATLAS_ORDER)
+    return mo_fail(message, MO_ERR_UNSUPPORTED,
+                   "the atlas file has another byte order: write it on a little-endian machine");
+  if (head->version != MO_ATLAS_VERSION)
+    return mo_fail(message, MO_ERR_UNSUPPORTED,
+                   "the atlas file has version %u, and this program reads version %d: use the "
+                   "program that wrote it, or write the atlas again",
+                   head->version, MO_ATLAS_VERSION);
+  if (head->checksum !=
+          mo_form_hash((const uint8_t *)head, offsetof(struct mo_atlas_head, checksum)) ||
+      !is_sound(head, file_bytes))
+    return mo_fail(message, MO_ERR_CORRUPT, "the head of the atlas file is damaged: " REMEDY);
+  mo_atlas_layout_fill(head, &layout);
+  if (layout.begins[MO_ATLAS_VOXELS_MAX] != file_bytes)
+    return mo_fail(
+        message, MO_ERR_CORRUPT, "the atlas file has %llu bytes, and should have %llu: " REMEDY,
+        (unsigned long long)file_bytes, (unsigned long long)layout.begins[MO_ATLAS_VOXELS_MAX]);
+  return MO_OK;
+}
+
+static int fail_to_read(int error, struct mo_message *message)
+{
+  return mo_fail(message, error, "the atlas file cannot be read: %s", mo_error_text(error));
+}
+
+static int read_environments(int fd, const struct mo_atlas_head *head, struct mo_atlas *atlas)
+{
+  uint8_t *bytes = malloc(head->environments_bytes > 0 ? head->environments_bytes : 1);
+  struct mo_sha256 hash;
+  if (bytes == NULL)
+    return MO_ERR_NO_MEMORY;
+  int error = mo_file_read_at(fd, sizeof(*head), head->environments_bytes, bytes);
+  if (error == MO_OK) {
+    mo_sha256_of(bytes, head->environments_bytes, &hash);
+    error = mo_sha256_equal(&hash, &head->environments)
+                ? mo_atlas_environments_unpack(bytes, head->environments_bytes,
+                                               head->n_environments, &atlas->environments)
+                : MO_ERR_CORRUPT;
+  }
+  free(bytes);
+  return error;
+}
+
+/* Reads and checks every block, and lists them with their first keys. */
+static int read_blocks(int fd, struct mo_atlas *atlas)
+{
+  const uint64_t n = atlas->layout.blocks[MO_ATLAS_VOXELS_MAX];
+  const size_t most = mo_atlas_checksum_at(MO_ATLAS_BLOCK, atlas->layout.n_environments) + 8;
+  uint8_t *bytes = malloc(most);
+  uint64_t last = 0;
+  int error = MO_OK;
+  atlas->blocks = calloc(n, sizeof(*atlas->blocks));
+  atlas->first_keys = calloc(n, sizeof(*atlas->first_keys));
+  if (bytes == NULL || atlas->blocks == NULL || atlas->first_keys == NULL)
+    error = MO_ERR_NO_MEMORY;
+  for (uint64_t i = 0; error == MO_OK && i < n; i++) {
+    const struct mo_atlas_block block = mo_atlas_block_of(&atlas->layout, i);
+    const bool has_last = block.position > atlas->layout.firsts[block.n_voxels - 1];
+    error = mo_file_read_at(fd, block.begin, block.bytes, bytes);
+    if (error == MO_OK)
+      error = mo_atlas_block_check(&block, atlas->layout.n_environments, &atlas->sets, bytes,
+                                   has_last, &last);
+    if (error == MO_OK) {
+      atlas->blocks[i] = block;
+      memcpy(&atlas->first_keys[i], bytes + sizeof(struct mo_atlas_block_head), sizeof(uint64_t));
+    }
+  }
+  free(bytes);
+  return error;
+}
+
+static int read_all(int fd, struct mo_atlas *atlas, struct mo_message *message)
+{
+  struct mo_atlas_head head = {.version = 0};
+  struct stat status;
+  if (fstat(fd, &status) != 0)
+    return fail_to_read(MO_ERR_IO, message);
+  atlas->bytes = (size_t)status.st_size;
+  int error =
+      mo_file_read_at(fd, 0, atlas->bytes < sizeof(head) ? atlas->bytes : sizeof(head), &head);
+  if (error != MO_OK)
+    return fail_to_read(error, message);
+  error = mo_atlas_head_check(&head, atlas->bytes, message);
+  if (error != MO_OK)
+    return error;
+  atlas->source = (struct mo_atlas_source){
+      .class = class_of(&head), .orientations = (enum mo_atlas_orientations)head.orientations};
+  memcpy(atlas->source.controller_sha256, head.controller.bytes, sizeof(head.controller.bytes));
+  memcpy(atlas->source.physics_sha256, head.physics.bytes, sizeof(head.physics.bytes));
+  memcpy(atlas->source.fingerprint, head.fingerprint, sizeof(head.fingerprint));
+  mo_atlas_layout_fill(&head, &atlas->layout);
+  mo_atlas_sets_fill(atlas->source.class.workspace, &atlas->sets);
+  error = read_environments(fd, &head, atlas);
+  if (error == MO_ERR_CORRUPT)
+    return mo_fail(message, error, "the environments of the atlas file are damaged: " REMEDY);
+  if (error == MO_OK)
+    error = read_blocks(fd, atlas);
+  if (error == MO_ERR_CORRUPT)
+    return mo_fail(message, error, "a block of the atlas file is damaged or unsorted: " REMEDY);
+  return error == MO_OK ? MO_OK : fail_to_read(error, message);
+}
+
+int mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *message)
+{
+  /* O_NONBLOCK: opening a pipe must not wait for a writer. */
+  const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+  if (fd < 0) {
+    const int error = errno == ENOENT ? MO_ERR_NOT_FOUND : mo_open_error();
+    return mo_fail(message, error, "cannot open the atlas file %.150s: %s", path, strerror(errno));
+  }
+  struct mo_atlas *made = calloc(1, sizeof(*made));
+  int error = made != NULL ? read_all(fd, made, message)
+                           : mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  if (error == MO_OK) {
+    void *mapped = mmap(NULL, made->bytes, PROT_READ, MAP_SHARED, fd, 0);
+    if (mapped == MAP_FAILED)
+      error = mo_fail(message, MO_ERR_NO_MEMORY, "cannot map the atlas file: %s", strerror(errno));
+    else
+      made->mapped = mapped;
+  }
+  (void)close(fd);
+  if (error == MO_OK)
+    *atlas = made;
+  else
+    mo_atlas_close(made);
+  return error;
+}
+
+void mo_atlas_close(struct mo_atlas *atlas)
+{
+  if (atlas == NULL)
+    return;
+  if (atlas->mapped != NULL)
+    (void)munmap((void *)(uintptr_t)atlas->mapped, atlas->bytes);
+  mo_environments_free(atlas->environments, atlas->layout.n_environments);
+  free(atlas->blocks);
+  free(atlas->first_keys);
+  free(atlas);
+}
+
+/* ---- content ---- */
+
+const struct mo_atlas_source *mo_atlas_source_of(const struct mo_atlas *atlas)
+{
+  return &atlas->source;
+}
+
+const struct mo_environment *mo_atlas_environments(const struct mo_atlas *atlas, uint32_t *n)
+{
+  *n = atlas->layout.n_environments;
+  return atlas->environments;
+}
+
+uint64_t mo_atlas_bodies_of(const struct mo_atlas *atlas)
+{
+  return atlas->layout.firsts[MO_ATLAS_VOXELS_MAX];
+}
+
+uint64_t mo_atlas_size(const struct mo_atlas *atlas, uint32_t n_voxels, uint64_t *first)
+{
+  const bool is_known = n_voxels >= 1 && n_voxels <= MO_ATLAS_VOXELS_MAX;
+  if (first != NULL)
+    *first = is_known ? atlas->layout.firsts[n_voxels - 1] : 0;
+  return is_known ? atlas->layout.counts[n_voxels - 1] : 0;
+}
+
+/* Returns the block of a position; *i: which of its bodies. */
+static const struct mo_atlas_block *block_at(const struct mo_atlas *atlas, uint64_t position,
+                                             uint32_t *i)
+{
+  const struct mo_atlas_layout *layout = &atlas->layout;
+  uint32_t size = 0;
+  while (position >= layout->firsts[size + 1])
+    size++;
+  const uint64_t before = position - layout->firsts[size];
+  *i = (uint32_t)(before % MO_ATLAS_BLOCK);
+  return &atlas->blocks[layout->blocks[size] + before / MO_ATLAS_BLOCK];
+}
+
+/* Blocks begin at multiples of 8. */
+static const uint64_t *keys_of(const struct mo_atlas *atlas, const struct mo_atlas_block *block)
+{
+  return (const uint64_t *)(const void *)(atlas->mapped + block->begin +
+                                          sizeof(struct mo_atlas_block_head));
+}
+
+uint32_t mo_atlas_key_at(const struct mo_atlas *atlas, uint64_t position, uint64_t *key)
+{
+  uint32_t i;
+  const struct mo_atlas_block *block = block_at(atlas, position, &i);
+  *key = keys_of(atlas, block)[i];
+  return block->n_voxels;
+}
+
+uint32_t mo_atlas_form(const struct mo_atlas *atlas, uint64_t position, uint64_t *form)
+{
+  uint32_t voxels[MO_ATLAS_VOXELS_MAX];
+  uint64_t key;
+  const uint32_t n = mo_atlas_key_at(atlas, position, &key);
+  mo_atlas_key_voxels(&atlas->sets, key, n, voxels);
+  mo_atlas_bits_of(atlas->source.class.workspace, voxels, n, form);
+  return n;
+}
+
+float mo_atlas_score(const struct mo_atlas *atlas, uint64_t position)
+{
+  uint32_t i;
+  float score;
+  const struct mo_atlas_block *block = block_at(atlas, position, &i);
+  memcpy(&score, atlas->mapped + block->begin + mo_atlas_scores_at(block->n) + 4 * (size_t)i,
+         sizeof(score));
+  return score;
+}
+
+void mo_atlas_losses(const struct mo_atlas *atlas, uint64_t position, float *losses)
+{
+  const uint32_t n_environments = atlas->layout.n_environments;
+  uint32_t i;
+  const struct mo_atlas_block *block = block_at(atlas, position, &i);
+  const uint8_t *from =
+      atlas->mapped + block->begin + mo_atlas_losses_at(block->n) + 2 * (size_t)i * n_environments;
+  for (uint32_t e = 0; e < n_environments; e++) {
+    uint16_t packed;
+    memcpy(&packed, from + 2 * (size_t)e, sizeof(packed));
+    losses[e] = mo_atlas_unpack_loss(packed);
+  }
+}
+
+/* ---- finding ---- */
+
+/* Returns how many of n ascending keys are at most `key`. */
+static size_t count_up_to(const uint64_t *keys, size_t n, uint64_t key)
+{
+  size_t low = 0, high = n;
+  while (low < high) {
+    const size_t middle = low + (high - low) / 2;
+    if (keys[middle] <= key)
+      low = middle + 1;
+    else
+      high = middle;
+  }
+  return low;
+}
+
+int mo_atlas_find_key(const struct mo_atlas *atlas, uint32_t n_voxels, uint64_t key,
+                      uint64_t *position)
+{
+  const struct mo_atlas_layout *layout = &atlas->layout;
+  if (n_voxels < 1 || n_voxels > layout->voxels_max)
+    return MO_ERR_NOT_FOUND;
+  const uint64_t first = layout->blocks[n_voxels - 1];
+  const size_t blocks =
+      count_up_to(atlas->first_keys + first, layout->blocks[n_voxels] - first, key);
+  if (blocks == 0)
+    return MO_ERR_NOT_FOUND;
+  const struct mo_atlas_block *block = &atlas->blocks[first + blocks - 1];
+  const uint64_t *keys = keys_of(atlas, block);
+  const size_t n = count_up_to(keys, block->n, key); /* at least 1 */
+  if (keys[n - 1] != key)
+    return MO_ERR_NOT_FOUND;
+  *position = block->position + n - 1;
+  return MO_OK;
+}
+
+int mo_atlas_find(const struct mo_atlas *atlas, const uint64_t *bits, uint64_t *position)
+{
+  const struct mo_workspace workspace = atlas->source.class.workspace;
+  uint64_t form[MO_DEFAULT_WORDS];
+  uint32_t voxels[MO_ATLAS_VOXELS_MAX];
+  const uint32_t n = mo_genotype_count(workspace, bits);
+  if (n < 1 || n > atlas->layout.voxels_max)
+    return MO_ERR_NOT_FOUND;
+  mo_genotype_canonical(workspace, bits, form);
+  (void)mo_atlas_voxels_of(workspace, form, voxels);
+  return mo_atlas_find_key(atlas, n, mo_atlas_key_of(&atlas->sets, voxels, n), position);
+}

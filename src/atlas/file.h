@@ -1,0 +1,29 @@
+/* file.h: an open atlas. */
+#ifndef MORPHO_ATLAS_FILE_H
+#define MORPHO_ATLAS_FILE_H
+
+#include "atlas/format.h"
+
+struct mo_atlas {
+  struct mo_atlas_source source;
+  struct mo_atlas_layout layout;
+  struct mo_atlas_sets sets;
+  struct mo_environment *environments;
+  struct mo_atlas_block *blocks; /* all */
+  uint64_t *first_keys;          /* (blocks) */
+  const uint8_t *mapped;         /* the file */
+  size_t bytes;
+};
+
+/* Checks a head: what it is, its version, its checksum, and that its numbers are within their
+ * bounds and match the file's size. MO_ERR_FORMAT, MO_ERR_UNSUPPORTED, MO_ERR_CORRUPT. */
+int mo_atlas_head_check(const struct mo_atlas_head *head, uint64_t file_bytes,
+                        struct mo_message *message);
+
+/* Finds the body with a key. MO_ERR_NOT_FOUND. */
+int mo_atlas_find_key(const struct mo_atlas *atlas, uint32_t n_voxels, uint64_t key,
+                      uint64_t *position);
+/* Reads the key of a position. Returns its number of voxels. */
+uint32_t mo_atlas_key_at(const struct mo_atlas *atlas, uint64_t position, uint64_t *key);
+
+#endif

@@ -1,0 +1,399 @@
+/* writer.c: writes atlas files.
+ *
+ * PATH.part grows block by block, each synced before the next begins, and becomes PATH when it is
+ * complete and synced. A writer that finds a PATH.part compares its head and environments with its
+ * own, checks its blocks, cuts it off after the last whole one, and continues there. Whatever a
+ * crash left behind is either a whole block or cut off, so the file does not depend on where it
+ * was interrupted. The lock of PATH.part keeps other writers away, and ends with the process. */
+#include "atlas/writer.h"
+
+#include "atlas/bodies.h"
+#include "atlas/format.h"
+#include "atlas/losses.h"
+#include "morphospace/form_set.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+struct mo_atlas_writer {
+  const struct mo_file_operations *files;
+  struct mo_atlas_class class;
+  struct mo_atlas_layout layout;
+  struct mo_atlas_sets sets;
+  struct mo_atlas_bodies *bodies;
+  char *path, *part;
+  int fd;
+  int error;         /* of an earlier call, after which nothing is written */
+  uint64_t position; /* the next body, which is the one with next_key */
+  uint64_t next_key;
+  uint64_t block;     /* index of the block that is being filled */
+  uint32_t filled;    /* its bodies so far */
+  uint8_t *bytes;     /* its bytes, and room for the largest block */
+  uint8_t *beginning; /* the head and the environments */
+  size_t beginning_bytes;
+};
+
+/* Of a system call, with its errno. */
+static int fail_at(const struct mo_atlas_writer *writer, int error, const char *what,
+                   struct mo_message *message)
+{
+  return mo_fail(message, error, "cannot %s %.150s: %s", what, writer->part, strerror(errno));
+}
+
+/* ---- writing ---- */
+
+static int write_durably(const struct mo_atlas_writer *writer, const uint8_t *bytes, size_t size)
+{
+  for (size_t written = 0; written < size;) {
+    const ssize_t n = writer->files->write(writer->fd, bytes + written, size - written);
+    if (n < 0 && errno != EINTR)
+      return mo_file_error();
+    written += n > 0 ? (size_t)n : 0;
+  }
+  return writer->files->sync(writer->fd) == 0 ? MO_OK : mo_file_error();
+}
+
+/* Writes at the end of the file. After a failure, cuts off what was written: after a failed sync,
+ * the file could look whole and not be durable. */
+static int append(struct mo_atlas_writer *writer, uint64_t end, const uint8_t *bytes, size_t size)
+{
+  if (lseek(writer->fd, (off_t)end, SEEK_SET) < 0)
+    return MO_ERR_IO;
+  const int error = write_durably(writer, bytes, size);
+  if (error != MO_OK)
+    (void)!ftruncate(writer->fd, (off_t)end);
+  return error;
+}
+
+/* Completes the head and the checksum of the block, and writes it. */
+static int write_block(struct mo_atlas_writer *writer, const struct mo_atlas_block *block)
+{
+  const struct mo_atlas_block_head head = {
+      .n_voxels = block->n_voxels, .n = block->n, .position = block->position};
+  const size_t checked = mo_atlas_checksum_at(block->n, writer->layout.n_environments);
+  memcpy(writer->bytes, &head, sizeof(head));
+  const uint64_t checksum = mo_form_hash(writer->bytes, checked);
+  memcpy(writer->bytes + checked, &checksum, sizeof(checksum));
+  return append(writer, block->begin, writer->bytes, block->bytes);
+}
+
+/* Puts a body into the block that is being filled. */
+static void put(struct mo_atlas_writer *writer, const struct mo_atlas_block *block,
+                const double *losses)
+{
+  const uint32_t n_environments = writer->layout.n_environments;
+  const size_t i = writer->filled;
+  double sum = 0;
+  if (i == 0)
+    memset(writer->bytes, 0, block->bytes);
+  for (uint32_t e = 0; e < n_environments; e++) {
+    const uint16_t packed = mo_atlas_pack_loss(losses[e]);
+    memcpy(writer->bytes + mo_atlas_losses_at(block->n) + 2 * (i * n_environments + e), &packed,
+           sizeof(packed));
+    sum += losses[e];
+  }
+  const float score = (float)(sum / n_environments);
+  memcpy(writer->bytes + sizeof(struct mo_atlas_block_head) + 8 * i, &writer->next_key,
+         sizeof(writer->next_key));
+  memcpy(writer->bytes + mo_atlas_scores_at(block->n) + 4 * i, &score, sizeof(score));
+}
+
+/* Reads the key of the next body, if there is one. */
+static int look_ahead(struct mo_atlas_writer *writer)
+{
+  uint32_t n_voxels;
+  if (writer->position == writer->layout.firsts[MO_ATLAS_VOXELS_MAX])
+    return MO_OK;
+  return mo_atlas_bodies_next_key(writer->bodies, &n_voxels, &writer->next_key);
+}
+
+int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses)
+{
+  uint32_t voxels[MO_ATLAS_VOXELS_MAX];
+  double sum = 0;
+  if (writer->error != MO_OK)
+    return writer->error;
+  if (writer->position == writer->layout.firsts[MO_ATLAS_VOXELS_MAX])
+    return MO_ERR_CONFLICT;
+  const struct mo_atlas_block block = mo_atlas_block_of(&writer->layout, writer->block);
+  if (mo_atlas_voxels_of(writer->class.workspace, form, voxels) != block.n_voxels ||
+      mo_atlas_key_of(&writer->sets, voxels, block.n_voxels) != writer->next_key)
+    return MO_ERR_CONFLICT;
+  for (uint32_t e = 0; e < writer->layout.n_environments; e++)
+    sum += losses[e];
+  if (isnan(sum) || isinf(sum) < 0 || isnan((float)sum)) /* −infinity, or both infinities */
+    return MO_ERR_INVALID;
+  put(writer, &block, losses);
+  writer->position++;
+  if (++writer->filled == block.n) {
+    writer->error = write_block(writer, &block);
+    writer->filled = 0;
+    writer->block++;
+  }
+  if (writer->error == MO_OK)
+    writer->error = look_ahead(writer);
+  return writer->error;
+}
+
+static int sync_folder(const struct mo_atlas_writer *writer)
+{
+  char *folder = strdup(writer->path);
+  int error = MO_OK;
+  if (folder == NULL)
+    return MO_ERR_NO_MEMORY;
+  char *slash = strrchr(folder, '/');
+  if (slash == NULL)
+    folder[0] = '\0';
+  else
+    slash[slash == folder] = '\0'; /* the root keeps its slash */
+  const int fd =
+      writer->files->open(folder[0] != '\0' ? folder : ".", O_RDONLY | O_CLOEXEC | O_DIRECTORY);
+  if (fd < 0 || writer->files->sync(fd) != 0)
+    error = mo_file_error();
+  if (fd >= 0)
+    (void)writer->files->close(fd);
+  free(folder);
+  return error;
+}
+
+int mo_atlas_writer_finish(struct mo_atlas_writer *writer, struct mo_message *message)
+{
+  const uint64_t bodies = writer->layout.firsts[MO_ATLAS_VOXELS_MAX];
+  if (writer->error != MO_OK)
+    return mo_fail(message, writer->error, "writing %.150s failed: make a new writer to continue",
+                   writer->part);
+  if (writer->position < bodies)
+    return mo_fail(message, MO_ERR_INVALID,
+                   "the atlas lacks %llu of %llu bodies: add them before it is finished",
+                   (unsigned long long)(bodies - writer->position), (unsigned long long)bodies);
+  if (writer->files->rename(writer->part, writer->path) != 0)
+    return fail_at(writer, mo_file_error(), "rename", message);
+  const int error = sync_folder(writer);
+  return error == MO_OK ? MO_OK : fail_at(writer, error, "sync the folder of", message);
+}
+
+/* ---- an unfinished file ---- */
+
+/* Returns whether the file begins with the writer's head and environments; *is_cut: it ends within
+ * them. */
+static int compare_beginning(const struct mo_atlas_writer *writer, uint64_t file_bytes,
+                             bool *is_same, bool *is_cut)
+{
+  const size_t size =
+      file_bytes < writer->beginning_bytes ? (size_t)file_bytes : writer->beginning_bytes;
+  uint8_t *bytes = malloc(size > 0 ? size : 1);
+  if (bytes == NULL)
+    return MO_ERR_NO_MEMORY;
+  const int error = mo_file_read_at(writer->fd, 0, size, bytes);
+  *is_same = error == MO_OK && memcmp(bytes, writer->beginning, size) == 0;
+  *is_cut = size < writer->beginning_bytes;
+  free(bytes);
+  return error == MO_ERR_CORRUPT ? MO_ERR_IO : error;
+}
+
+/* Passes the whole blocks, and cuts off the rest. */
+static int pass_blocks(struct mo_atlas_writer *writer, uint64_t file_bytes)
+{
+  const uint64_t blocks = writer->layout.blocks[MO_ATLAS_VOXELS_MAX];
+  uint64_t last = 0, end = writer->beginning_bytes;
+  for (; writer->block < blocks; writer->block++) {
+    const struct mo_atlas_block block = mo_atlas_block_of(&writer->layout, writer->block);
+    if (block.begin + block.bytes > file_bytes)
+      break;
+    const int error = mo_file_read_at(writer->fd, block.begin, block.bytes, writer->bytes);
+    if (error != MO_OK)
+      return error == MO_ERR_CORRUPT ? MO_ERR_IO : error;
+    const bool has_last = block.position > writer->layout.firsts[block.n_voxels - 1];
+    if (mo_atlas_block_check(&block, writer->layout.n_environments, &writer->sets, writer->bytes,
+                             has_last, &last) != MO_OK)
+      break;
+    end = block.begin + block.bytes;
+    writer->position = block.position + block.n;
+  }
+  if (ftruncate(writer->fd, (off_t)end) != 0 || writer->files->sync(writer->fd) != 0)
+    return mo_file_error();
+  return MO_OK;
+}
+
+/* Opens and locks PATH.part. */
+static int lock(struct mo_atlas_writer *writer, struct stat *status, struct mo_message *message)
+{
+  struct stat named;
+  writer->fd = writer->files->open(writer->part, O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
+  if (writer->fd < 0)
+    return fail_at(writer, mo_file_error(), "open", message);
+  if (flock(writer->fd, LOCK_EX | LOCK_NB) != 0)
+    return errno == EWOULDBLOCK
+               ? mo_fail(message, MO_ERR_BUSY, "another writer has %.150s: wait until it ends",
+                         writer->part)
+               : fail_at(writer, MO_ERR_IO, "lock", message);
+  /* Another writer may have finished between the opening and the lock. */
+  if (fstat(writer->fd, status) != 0 || stat(writer->part, &named) != 0 ||
+      named.st_ino != status->st_ino || named.st_dev != status->st_dev)
+    return mo_fail(message, MO_ERR_BUSY, "another writer has just finished %.150s: use its file",
+                   writer->path);
+  if (stat(writer->path, &named) == 0)
+    return mo_fail(message, MO_ERR_CONFLICT,
+                   "%.150s exists already: remove it, or choose another name", writer->path);
+  return MO_OK;
+}
+
+static int begin(struct mo_atlas_writer *writer, struct mo_message *message)
+{
+  struct stat status;
+  bool is_same = false, is_cut = false;
+  int error = lock(writer, &status, message);
+  if (error != MO_OK)
+    return error;
+  const uint64_t file_bytes = (uint64_t)status.st_size;
+  error = compare_beginning(writer, file_bytes, &is_same, &is_cut);
+  if (error == MO_OK && !is_same)
+    return mo_fail(message, MO_ERR_CONFLICT,
+                   "%.150s belongs to another atlas: remove it, or choose another name",
+                   writer->part);
+  if (error == MO_OK)
+    error = is_cut ? append(writer, 0, writer->beginning, writer->beginning_bytes)
+                   : pass_blocks(writer, file_bytes);
+  if (error == MO_OK)
+    error = mo_atlas_bodies_seek(writer->bodies, writer->position);
+  if (error == MO_OK)
+    error = look_ahead(writer);
+  return error == MO_OK ? MO_OK
+                        : mo_fail(message, error, "cannot continue %.150s: %s", writer->part,
+                                  mo_error_text(error));
+}
+
+/* ---- making a writer ---- */
+
+static int check(const struct mo_atlas_source *source, const struct mo_environment *environments,
+                 uint32_t n, struct mo_message *message)
+{
+  const int error = mo_atlas_class_check(&source->class, message);
+  if (error != MO_OK)
+    return error;
+  if (source->orientations != MO_ATLAS_CANONICAL && source->orientations != MO_ATLAS_IMAGES)
+    return mo_fail(message, MO_ERR_INVALID, "orientations must be canonical or images");
+  if (memchr(source->fingerprint, '\0', sizeof(source->fingerprint)) == NULL)
+    return mo_fail(message, MO_ERR_INVALID, "the fingerprint must have at most %d characters",
+                   MO_ATLAS_FINGERPRINT - 1);
+  if (n < 1 || n > MO_ATLAS_ENVIRONMENTS_MAX)
+    return mo_fail(message, MO_ERR_LIMIT, "an atlas must have 1 to %d environments, got %u",
+                   MO_ATLAS_ENVIRONMENTS_MAX, n);
+  for (uint32_t i = 0; i < n; i++) {
+    const int fault = mo_environment_check(&environments[i], NULL);
+    if (fault != MO_OK)
+      return mo_fail(message, fault, "environment %u has a value outside its bounds", i);
+  }
+  return MO_OK;
+}
+
+/* Makes the head and the environments. */
+static int make_beginning(struct mo_atlas_writer *writer, const struct mo_atlas_source *source,
+                          const struct mo_environment *environments, uint32_t n)
+{
+  struct mo_atlas_head head = {
+      .magic = MO_ATLAS_MAGIC,
+      .byte_order = MO_ATLAS_ORDER,
+      .version = MO_ATLAS_VERSION,
+      .sides = {source->class.workspace.nx, source->class.workspace.ny, source->class.workspace.nz},
+      .voxels_max = source->class.voxels_max,
+      .orientations = (uint32_t)source->orientations,
+      .n_environments = n,
+      .block_bodies = MO_ATLAS_BLOCK};
+  uint8_t *packed = NULL;
+  size_t size = 0;
+  int error = mo_atlas_bodies_count(writer->bodies, head.counts);
+  if (error == MO_OK)
+    error = mo_atlas_environments_pack(environments, n, &packed, &size);
+  if (error != MO_OK)
+    return error;
+  memcpy(head.controller.bytes, source->controller_sha256, sizeof(head.controller.bytes));
+  memcpy(head.physics.bytes, source->physics_sha256, sizeof(head.physics.bytes));
+  memcpy(head.fingerprint, source->fingerprint, strlen(source->fingerprint));
+  head.environments_bytes = (uint32_t)size;
+  mo_sha256_of(packed, size, &head.environments);
+  head.checksum = mo_form_hash((const uint8_t *)&head, offsetof(struct mo_atlas_head, checksum));
+  mo_atlas_layout_fill(&head, &writer->layout);
+  writer->beginning_bytes = sizeof(head) + size;
+  writer->beginning = malloc(writer->beginning_bytes);
+  writer->bytes = malloc(mo_atlas_checksum_at(MO_ATLAS_BLOCK, n) + sizeof(uint64_t));
+  if (writer->beginning == NULL || writer->bytes == NULL) {
+    error = MO_ERR_NO_MEMORY;
+  } else {
+    memcpy(writer->beginning, &head, sizeof(head));
+    memcpy(writer->beginning + sizeof(head), packed, size);
+  }
+  free(packed);
+  return error;
+}
+
+int mo_atlas_writer_create_with(const struct mo_file_operations *files, const char *path,
+                                const struct mo_atlas_source *source,
+                                const struct mo_environment *environments, uint32_t n,
+                                struct mo_atlas_writer **writer, struct mo_message *message)
+{
+  int error = check(source, environments, n, message);
+  if (error != MO_OK)
+    return error;
+  struct mo_atlas_writer *made = calloc(1, sizeof(*made));
+  if (made == NULL)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  made->files = files;
+  made->class = source->class;
+  made->fd = -1;
+  mo_atlas_sets_fill(source->class.workspace, &made->sets);
+  made->path = strdup(path);
+  if (asprintf(&made->part, "%s.part", path) < 0)
+    made->part = NULL;
+  error = made->path == NULL || made->part == NULL
+              ? MO_ERR_NO_MEMORY
+              : mo_atlas_bodies_create(&source->class, &made->bodies);
+  if (error == MO_OK)
+    error = make_beginning(made, source, environments, n);
+  error =
+      error == MO_OK ? begin(made, message) : mo_fail(message, error, "%s", mo_error_text(error));
+  if (error == MO_OK)
+    *writer = made;
+  else
+    mo_atlas_writer_free(made);
+  return error;
+}
+
+int mo_atlas_writer_create(const char *path, const struct mo_atlas_source *source,
+                           const struct mo_environment *environments, uint32_t n,
+                           struct mo_atlas_writer **writer, struct mo_message *message)
+{
+  return mo_atlas_writer_create_with(&mo_system_files, path, source, environments, n, writer,
+                                     message);
+}
+
+void mo_atlas_writer_free(struct mo_atlas_writer *writer)
+{
+  if (writer == NULL)
+    return;
+  if (writer->fd >= 0)
+    (void)writer->files->close(writer->fd);
+  mo_atlas_bodies_free(writer->bodies);
+  free(writer->path);
+  free(writer->part);
+  free(writer->bytes);
+  free(writer->beginning);
+  free(writer);
+}
+
+uint64_t mo_atlas_writer_position(const struct mo_atlas_writer *writer)
+{
+  return writer->position;
+}
+
+uint64_t mo_atlas_writer_bodies(const struct mo_atlas_writer *writer)
+{
+  return writer->layout.firsts[MO_ATLAS_VOXELS_MAX];
+}

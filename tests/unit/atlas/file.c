@@ -1,0 +1,295 @@
+/* file.c: atlas files: what was written is read, and anything else is refused. */
+#include "../image.h"
+#include "fixture.h"
+
+#include "atlas/file.h"
+#include "atlas/losses.h"
+#include "world/environment.h"
+
+#include <fcntl.h>
+#include <sys/stat.h>
+
+static void content(void)
+{
+  const struct mo_atlas_source source = fixture_source(6);
+  const struct mo_atlas *atlas = fixture_atlas(&source, 1000);
+  struct mo_atlas_bodies *bodies = NULL;
+  uint64_t form[MO_DEFAULT_WORDS] = {0}, read[MO_DEFAULT_WORDS], moved[MO_DEFAULT_WORDS];
+  uint64_t position = 0, first = 0;
+  REQUIRE_OK(mo_atlas_bodies_create(&source.class, &bodies));
+  for (uint64_t i = 0; mo_atlas_bodies_next(bodies, form) == MO_OK; i++) {
+    float losses[MO_PAPER_TEST_COUNT];
+    double sum = 0;
+    REQUIRE_OK(mo_atlas_find(atlas, form, &position));
+    CHECK_INT(position, i);
+    CHECK_INT(mo_atlas_form(atlas, i, read), mo_genotype_count(source.class.workspace, form));
+    CHECK(SAME(read, form, MO_DEFAULT_WORDS));
+    mo_atlas_losses(atlas, i, losses);
+    for (uint32_t e = 0; e < MO_PAPER_TEST_COUNT; e++) {
+      const double loss = fixture_loss(form, e, 1000);
+      CHECK_NEAR(losses[e], loss, loss / 2048);
+      sum += loss;
+    }
+    CHECK(mo_atlas_score(atlas, i) == (float)(sum / MO_PAPER_TEST_COUNT));
+    for (unsigned k = 0; k < MO_ORIENTATIONS; k++)
+      if (make_image(source.class.workspace, form, k, moved) == MO_OK) {
+        mo_genotype_place(source.class.workspace, moved);
+        CHECK_OK(mo_atlas_find(atlas, moved, &position));
+        CHECK_INT(position, i);
+      }
+  }
+  mo_atlas_bodies_free(bodies);
+  CHECK_INT(mo_atlas_bodies_of(atlas), 654);
+  CHECK_INT(mo_atlas_size(atlas, 5, &first), 95);
+  CHECK_INT(first, 29);
+  CHECK_INT(mo_atlas_size(atlas, 7, NULL), 0);
+  CHECK_INT(mo_atlas_size(atlas, 0, &first), 0);
+  const uint64_t seven[MO_DEFAULT_WORDS] = {0x111111f}, none[MO_DEFAULT_WORDS] = {0};
+  const uint64_t apart[MO_DEFAULT_WORDS] = {5};
+  CHECK_INT(mo_atlas_find(atlas, seven, &position), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_atlas_find(atlas, none, &position), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_atlas_find(atlas, apart, &position), MO_ERR_NOT_FOUND);
+}
+
+/* Several blocks of one size; 32 bytes a body. */
+static void blocks(void)
+{
+  const struct mo_atlas_source source = fixture_source(8);
+  const struct mo_atlas *atlas = fixture_atlas(&source, 1000);
+  struct mo_atlas_bodies *bodies = NULL;
+  uint64_t form[MO_DEFAULT_WORDS] = {0}, position = 0, i = 0;
+  size_t wrong = 0;
+  REQUIRE_OK(mo_atlas_bodies_create(&source.class, &bodies));
+  for (; mo_atlas_bodies_next(bodies, form) == MO_OK; i++)
+    wrong += mo_atlas_find(atlas, form, &position) != MO_OK || position != i;
+  mo_atlas_bodies_free(bodies);
+  CHECK_INT(wrong, 0);
+  CHECK_INT(i, 24135);
+  CHECK_INT(atlas->layout.blocks[8] - atlas->layout.blocks[7], 5);
+  const uint64_t block_bytes = atlas->bytes - atlas->layout.begins[0];
+  CHECK((double)block_bytes / (double)i < 32.03); /* 32, and 32 for each block */
+}
+
+static void environments(void)
+{
+  const double heights[] = {0.1, 0.2, 0.1, 0.3, 0.2, 0.1};
+  const struct mo_atlas_source source = fixture_source(3);
+  struct mo_environment list[3] = {mo_environment_defaults, mo_environment_defaults};
+  struct mo_message message = {""};
+  char path[FIXTURE_PATH];
+  uint32_t n = 0;
+  mo_environment_training(1, 2, 3, &list[0]);
+  list[1].task.guide = (struct mo_guide){.kind = MO_GUIDE_AHEAD, .distance_m = 1.5};
+  list[1].task.objective = MO_OBJECTIVE_TRAVEL;
+  list[1].light_xy_m[0] = -0.0;
+  list[2] = list[1];
+  REQUIRE_OK(mo_terrain_grid_create(3, 2, 0.5, heights, &list[2].grid));
+  snprintf(path, sizeof(path), "%s/a.atlas", fixture_folder());
+  CHECK_OK(fixture_write(&mo_system_files, path, &source, list, 3, 10, &message));
+  CHECK_TEXT(message.text, "");
+  const struct mo_atlas *atlas = fixture_open(path);
+  const struct mo_environment *read = mo_atlas_environments(atlas, &n);
+  REQUIRE(n == 3);
+  for (uint32_t i = 0; i < n; i++) {
+    struct mo_sha256 expected, found;
+    mo_environment_digest(&list[i], &expected);
+    mo_environment_digest(&read[i], &found);
+    CHECK(mo_sha256_equal(&expected, &found));
+  }
+  CHECK(read[2].grid != NULL && read[2].grid->columns == 3);
+  CHECK(SAME(mo_atlas_source_of(atlas), &source, 1));
+  mo_environments_drop(list, 3);
+}
+
+/* ---- refusals ---- */
+
+static void store(const char *path, const uint8_t *bytes, size_t size)
+{
+  FILE *file = fopen(path, "wb");
+  REQUIRE(file != NULL);
+  CHECK_INT(fwrite(bytes, 1, size, file), size);
+  CHECK_OK(fclose(file));
+}
+
+/* Opens these bytes as a file, which must fail with a message that has these words. */
+static void refuse(const char *path, const uint8_t *bytes, size_t size, int error,
+                   const char *words)
+{
+  struct mo_atlas *atlas = NULL;
+  struct mo_message message = {""};
+  store(path, bytes, size);
+  CHECK_INT(mo_atlas_open(path, &atlas, &message), error);
+  CHECK_SAYS(message, words);
+  CHECK(atlas == NULL);
+  mo_atlas_close(atlas);
+}
+
+static uint8_t *small_file(char path[FIXTURE_PATH], size_t *size)
+{
+  const struct mo_atlas_source source = fixture_source(4);
+  struct mo_environment environments[MO_PAPER_TEST_COUNT];
+  struct mo_message message = {""};
+  snprintf(path, FIXTURE_PATH, "%s/a.atlas", fixture_folder());
+  mo_environment_paper_test(environments);
+  make_check(fixture_write(&mo_system_files, path, &source, environments, 2, 100, &message),
+             message.text);
+  return fixture_bytes(path, size);
+}
+
+static void damage(void)
+{
+  char path[FIXTURE_PATH];
+  size_t size;
+  uint8_t *bytes = small_file(path, &size);
+  REQUIRE(size > sizeof(struct mo_atlas_head));
+  for (size_t at = 0; at < size;
+       at += at < sizeof(struct mo_atlas_head) || at > size - 64 ? 1 : 7) {
+    struct mo_atlas *atlas = NULL;
+    struct mo_message message = {""};
+    bytes[at] ^= 0x10;
+    store(path, bytes, size);
+    const int error = mo_atlas_open(path, &atlas, &message);
+    CHECK_INT(error, at < 16 ? MO_ERR_FORMAT : at < 24 ? MO_ERR_UNSUPPORTED : MO_ERR_CORRUPT);
+    CHECK_SAYS(message, ": "); /* what to do */
+    CHECK(atlas == NULL);
+    bytes[at] ^= 0x10;
+  }
+  for (size_t cut = 0; cut < size; cut += cut < 400 ? 13 : 101)
+    refuse(path, bytes, cut, cut < 16 ? MO_ERR_FORMAT : MO_ERR_CORRUPT, ": ");
+  uint8_t *longer = make_zeros(size + 1, 1);
+  memcpy(longer, bytes, size);
+  refuse(path, longer, size + 1, MO_ERR_CORRUPT, "should have");
+  store(path, bytes, size);
+  CHECK(fixture_open(path) != NULL);
+}
+
+/* Changes members of the head and makes its checksum right again. */
+static void head_that_lies(void)
+{
+  static const struct {
+    size_t at;
+    uint32_t value;
+    int error;
+    const char *words;
+  } lies[] = {
+      {offsetof(struct mo_atlas_head, version), 2, MO_ERR_UNSUPPORTED, "version 2"},
+      {offsetof(struct mo_atlas_head, byte_order), 0x04030201, MO_ERR_UNSUPPORTED, "byte order"},
+      {offsetof(struct mo_atlas_head, sides), 0, MO_ERR_CORRUPT, "head"},
+      {offsetof(struct mo_atlas_head, sides), 65542, MO_ERR_CORRUPT, "head"},
+      {offsetof(struct mo_atlas_head, voxels_max), 3, MO_ERR_CORRUPT, "head"},
+      {offsetof(struct mo_atlas_head, voxels_max), 11, MO_ERR_CORRUPT, "head"},
+      {offsetof(struct mo_atlas_head, orientations), 2, MO_ERR_CORRUPT, "head"},
+      {offsetof(struct mo_atlas_head, n_environments), 0, MO_ERR_CORRUPT, "head"},
+      {offsetof(struct mo_atlas_head, n_environments), 65, MO_ERR_CORRUPT, "head"},
+      {offsetof(struct mo_atlas_head, n_environments), 3, MO_ERR_CORRUPT, "should have"},
+      {offsetof(struct mo_atlas_head, block_bodies), 4095, MO_ERR_CORRUPT, "head"},
+      {offsetof(struct mo_atlas_head, environments_bytes), 8, MO_ERR_CORRUPT, "should have"},
+      {offsetof(struct mo_atlas_head, counts) + 24, 20, MO_ERR_CORRUPT, "should have"},
+      {offsetof(struct mo_atlas_head, counts) + 4, 0x80000000, MO_ERR_CORRUPT, "head"},
+      {offsetof(struct mo_atlas_head, environments), 1, MO_ERR_CORRUPT, "environments"},
+  };
+  char path[FIXTURE_PATH];
+  size_t size;
+  uint8_t *bytes = small_file(path, &size);
+  for (size_t i = 0; i < COUNT(lies); i++) {
+    struct mo_atlas_head head;
+    memcpy(&head, bytes, sizeof(head));
+    memcpy((uint8_t *)&head + lies[i].at, &lies[i].value, sizeof(lies[i].value));
+    head.checksum = mo_form_hash((const uint8_t *)&head, offsetof(struct mo_atlas_head, checksum));
+    uint8_t *changed = make_zeros(size, 1);
+    memcpy(changed, bytes, size);
+    memcpy(changed, &head, sizeof(head));
+    refuse(path, changed, size, lies[i].error, lies[i].words);
+  }
+}
+
+/* Two keys in the wrong order, and a score that is not a number, with a right checksum. */
+static void blocks_that_lie(void)
+{
+  char path[FIXTURE_PATH];
+  size_t size;
+  uint8_t *bytes = small_file(path, &size);
+  struct mo_atlas_layout layout;
+  struct mo_atlas_head head;
+  memcpy(&head, bytes, sizeof(head));
+  mo_atlas_layout_fill(&head, &layout);
+  const struct mo_atlas_block block = mo_atlas_block_of(&layout, 3); /* 21 bodies of 4 voxels */
+  REQUIRE(block.n == 21);
+  uint8_t *const begin = bytes + block.begin;
+  const size_t checked = mo_atlas_checksum_at(block.n, 2);
+  for (int lie = 0; lie < 5; lie++) {
+    uint8_t *saved = make_zeros(block.bytes, 1);
+    const float nan_score = NAN;
+    const uint16_t nan_loss = 0x7c01;
+    const uint64_t large = UINT64_MAX;
+    uint64_t *keys = (uint64_t *)(void *)(begin + sizeof(struct mo_atlas_block_head));
+    memcpy(saved, begin, block.bytes);
+    if (lie == 0)
+      keys[5] = keys[6];
+    else if (lie == 1)
+      memcpy(begin + mo_atlas_scores_at(block.n) + 12, &nan_score, sizeof(nan_score));
+    else if (lie == 2)
+      memcpy(begin + mo_atlas_losses_at(block.n) + 12, &nan_loss, sizeof(nan_loss));
+    else if (lie == 3)
+      memcpy(&keys[20], &large, sizeof(large));
+    else
+      begin[0]++; /* the number of voxels */
+    const uint64_t checksum = mo_form_hash(begin, checked);
+    memcpy(begin + checked, &checksum, sizeof(checksum));
+    refuse(path, bytes, size, MO_ERR_CORRUPT, "damaged or unsorted");
+    memcpy(begin, saved, block.bytes);
+  }
+}
+
+static void other_files(void)
+{
+  const char *folder = fixture_folder();
+  char path[FIXTURE_PATH];
+  struct mo_atlas *atlas = NULL;
+  struct mo_message message = {""};
+  snprintf(path, sizeof(path), "%s/a", folder);
+  CHECK_INT(mo_atlas_open(path, &atlas, &message), MO_ERR_NOT_FOUND);
+  CHECK_SAYS(message, "No such file");
+  CHECK_INT(mo_atlas_open(folder, &atlas, &message), MO_ERR_IO);
+  CHECK_OK(mkfifo(path, 0600));
+  CHECK(mo_atlas_open(path, &atlas, &message) != MO_OK);
+}
+
+/* ---- losses in 16 bits ---- */
+
+static void losses(void)
+{
+  size_t changed = 0;
+  for (uint32_t code = 0; code < 65536; code++)
+    if (!mo_atlas_loss_is_nan((uint16_t)code) && code != 0x8000) /* −0 is stored as 0 */
+      changed += mo_atlas_pack_loss(mo_atlas_unpack_loss((uint16_t)code)) != code;
+  CHECK_INT(changed, 0);
+  CHECK(mo_atlas_unpack_loss(0x3c00) == 1.0F && mo_atlas_unpack_loss(0xc000) == -2.0F);
+  CHECK(mo_atlas_unpack_loss(1) == 0x1p-24F && mo_atlas_unpack_loss(0x7bff) == 65504.0F);
+  CHECK(mo_atlas_unpack_loss(0x7c00) == INFINITY && mo_atlas_unpack_loss(0xfc00) == -INFINITY);
+  CHECK_INT(mo_atlas_pack_loss(-0.0), 0);
+  CHECK_INT(mo_atlas_pack_loss(1e300), 0x7bff);
+  CHECK_INT(mo_atlas_pack_loss(-65505), 0xfbff);
+  /* Between neighbors, the nearest; in the middle, the even one. */
+  for (uint16_t code = 0; code < 0x7bff; code++) {
+    const double low = mo_atlas_unpack_loss(code), high = mo_atlas_unpack_loss(code + 1);
+    const double middle = (low + high) / 2;
+    const uint16_t even = code % 2 == 0 ? code : code + 1;
+    changed += mo_atlas_pack_loss(middle) != even;
+    changed += mo_atlas_pack_loss(nextafter(middle, 0)) != code;
+    changed += mo_atlas_pack_loss(nextafter(middle, 1e9)) != code + 1;
+  }
+  CHECK_INT(changed, 0);
+}
+
+static const struct check_case cases[] = {
+    {"what was written is read", content},
+    {"several blocks; bytes of a body", blocks},
+    {"source and environments", environments},
+    {"damaged, truncated and longer files", damage},
+    {"heads with wrong numbers", head_that_lies},
+    {"blocks with wrong numbers", blocks_that_lie},
+    {"things that are not atlas files", other_files},
+    {"losses in 16 bits", losses},
+};
+CHECK_MAIN(cases)

@@ -1,0 +1,316 @@
+/* writer.c: the writer of atlas files: after any interruption, the file has the same bytes. */
+#include "../image.h"
+#include "fixture.h"
+
+#include <errno.h>
+#include <signal.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+
+#define N      2   /* environments */
+#define LEVELS 100 /* of losses */
+
+static struct mo_environment environments[MO_PAPER_TEST_COUNT];
+static struct mo_atlas_source source;
+static char path[FIXTURE_PATH], part[FIXTURE_PATH];
+
+static void setup(void)
+{
+  mo_environment_paper_test(environments);
+  source = fixture_source(8); /* thirteen blocks */
+}
+
+/* Makes a folder for the case, and the bytes of the whole file. */
+static const uint8_t *whole(size_t *size)
+{
+  struct mo_message message = {""};
+  const char *folder = fixture_folder();
+  snprintf(path, sizeof(path), "%s/whole", folder);
+  make_check(fixture_write(&mo_system_files, path, &source, environments, N, LEVELS, &message),
+             message.text);
+  const uint8_t *bytes = fixture_bytes(path, size);
+  snprintf(path, sizeof(path), "%s/a.atlas", folder);
+  snprintf(part, sizeof(part), "%s/a.atlas.part", folder);
+  return bytes;
+}
+
+static struct mo_atlas_writer *create(struct mo_message *message, int error)
+{
+  struct mo_atlas_writer *writer = NULL;
+  CHECK_INT(mo_atlas_writer_create(path, &source, environments, N, &writer, message), error);
+  CHECK((writer != NULL) == (error == MO_OK));
+  return writer;
+}
+
+static bool has_bytes(const uint8_t *bytes, size_t size)
+{
+  size_t found;
+  const uint8_t *read = fixture_bytes(path, &found);
+  return found == size && SAME(read, bytes, size);
+}
+
+/* Completes the file, which then has these bytes, and removes it. */
+static void complete(const uint8_t *bytes, size_t size)
+{
+  struct mo_message message = {""};
+  CHECK_OK(fixture_write(&mo_system_files, path, &source, environments, N, LEVELS, &message));
+  CHECK(has_bytes(bytes, size));
+  CHECK(access(part, F_OK) != 0);
+  CHECK_OK(unlink(path));
+}
+
+static void killed(void)
+{
+  static const uint64_t at[] = {0, 1, 700, 3822, 3823, 8000, 20000, 24134, 24135};
+  size_t size;
+  const uint8_t *bytes = whole(&size);
+  for (size_t i = 0; i < COUNT(at); i++) {
+    int status = 0;
+    const pid_t child = fork();
+    if (child == 0) {
+      struct mo_atlas_writer *writer = NULL;
+      if (mo_atlas_writer_create(path, &source, environments, N, &writer, NULL) == MO_OK)
+        (void)fixture_add(writer, &source, N, LEVELS, at[i]);
+      (void)kill(getpid(), SIGKILL);
+    }
+    CHECK_INT(waitpid(child, &status, 0), child);
+    CHECK(WIFSIGNALED(status));
+    struct mo_message message = {""};
+    struct mo_atlas_writer *writer = create(&message, MO_OK);
+    const uint64_t position = mo_atlas_writer_position(writer);
+    CHECK(position <= at[i] && at[i] - position < MO_ATLAS_BLOCK);
+    mo_atlas_writer_free(writer);
+    complete(bytes, size);
+  }
+}
+
+/* The end of an unfinished file may be anything. */
+static void torn(void)
+{
+  size_t size;
+  const uint8_t *bytes = whole(&size);
+  for (size_t cut = 0; cut <= size; cut += cut < 600 ? 97 : 23457) {
+    FILE *file = fopen(part, "wb");
+    REQUIRE(file != NULL);
+    CHECK_INT(fwrite(bytes, 1, cut, file), cut);
+    for (int i = 0; i < 3000 && cut > sizeof(struct mo_atlas_head) + 2000; i++)
+      (void)fputc(i % 7, file);
+    CHECK_OK(fclose(file));
+    complete(bytes, size);
+  }
+}
+
+static void altered_block(void)
+{
+  size_t size, found;
+  const uint8_t *bytes = whole(&size);
+  struct mo_atlas_head head;
+  struct mo_atlas_layout layout;
+  struct mo_message message = {""};
+  memcpy(&head, bytes, sizeof(head));
+  mo_atlas_layout_fill(&head, &layout);
+  const struct mo_atlas_block block = mo_atlas_block_of(&layout, 9);
+  struct mo_atlas_writer *writer = create(&message, MO_OK);
+  REQUIRE_OK(fixture_add(writer, &source, N, LEVELS, 24000));
+  mo_atlas_writer_free(writer);
+  uint8_t *written = fixture_bytes(part, &found);
+  written[block.begin + 100] ^= 1;
+  FILE *file = fopen(part, "wb");
+  REQUIRE(file != NULL);
+  CHECK_INT(fwrite(written, 1, found, file), found);
+  CHECK_OK(fclose(file));
+  writer = create(&message, MO_OK);
+  CHECK_INT(mo_atlas_writer_position(writer), block.position);
+  mo_atlas_writer_free(writer);
+  complete(bytes, size);
+}
+
+/* ---- refusals ---- */
+
+static void conflicts(void)
+{
+  size_t size;
+  const uint8_t *bytes = whole(&size);
+  struct mo_message message = {""};
+  struct mo_atlas_writer *writer = create(&message, MO_OK);
+  (void)create(&message, MO_ERR_BUSY);
+  CHECK_SAYS(message, "another writer");
+  REQUIRE_OK(fixture_add(writer, &source, N, LEVELS, 1000));
+  mo_atlas_writer_free(writer);
+  source.physics_sha256[0] ^= 1;
+  (void)create(&message, MO_ERR_CONFLICT);
+  CHECK_SAYS(message, "belongs to another atlas: remove it");
+  source.physics_sha256[0] ^= 1;
+  environments[1].light_xy_m[0] += 0.5;
+  (void)create(&message, MO_ERR_CONFLICT);
+  environments[1].light_xy_m[0] -= 0.5;
+  CHECK_OK(fixture_write(&mo_system_files, path, &source, environments, N, LEVELS, &message));
+  CHECK(has_bytes(bytes, size));
+  (void)create(&message, MO_ERR_CONFLICT);
+  CHECK_SAYS(message, "exists already");
+}
+
+static void wrong_sources(void)
+{
+  const struct mo_atlas_source right = source;
+  struct mo_message message = {""};
+  snprintf(path, sizeof(path), "%s/a", fixture_folder());
+  source.class.voxels_max = 11;
+  (void)create(&message, MO_ERR_RANGE);
+  source = right;
+  source.orientations = (enum mo_atlas_orientations)2;
+  (void)create(&message, MO_ERR_INVALID);
+  source = right;
+  memset(source.fingerprint, 'x', sizeof(source.fingerprint));
+  (void)create(&message, MO_ERR_INVALID);
+  CHECK_SAYS(message, "at most 63 characters");
+  source = right;
+  environments[1].light_xy_m[0] = NAN;
+  (void)create(&message, MO_ERR_INVALID);
+  CHECK_SAYS(message, "environment 1");
+  mo_environment_paper_test(environments);
+  struct mo_atlas_writer *writer = NULL;
+  CHECK_INT(mo_atlas_writer_create(path, &source, environments, 0, &writer, &message),
+            MO_ERR_LIMIT);
+  snprintf(path, sizeof(path), "/no such folder/a");
+  (void)create(&message, MO_ERR_IO);
+  CHECK_SAYS(message, "No such file");
+}
+
+static void wrong_bodies(void)
+{
+  struct mo_atlas_bodies *bodies = NULL;
+  struct mo_message message = {""};
+  uint64_t first[MO_DEFAULT_WORDS], second[MO_DEFAULT_WORDS];
+  source = fixture_source(2);
+  snprintf(path, sizeof(path), "%s/a", fixture_folder());
+  struct mo_atlas_writer *writer = create(&message, MO_OK);
+  REQUIRE_OK(mo_atlas_bodies_create(&source.class, &bodies));
+  REQUIRE_OK(mo_atlas_bodies_next(bodies, first));
+  REQUIRE_OK(mo_atlas_bodies_next(bodies, second));
+  CHECK_INT(mo_atlas_writer_bodies(writer), 3);
+  CHECK_INT(mo_atlas_writer_add(writer, second, (double[]){1, 2}), MO_ERR_CONFLICT);
+  CHECK_INT(mo_atlas_writer_add(writer, first, (double[]){1, NAN}), MO_ERR_INVALID);
+  CHECK_INT(mo_atlas_writer_add(writer, first, (double[]){-INFINITY, 1}), MO_ERR_INVALID);
+  CHECK_INT(mo_atlas_writer_add(writer, first, (double[]){-INFINITY, INFINITY}), MO_ERR_INVALID);
+  CHECK_INT(mo_atlas_writer_position(writer), 0);
+  CHECK_OK(mo_atlas_writer_add(writer, first, (double[]){1, INFINITY}));
+  CHECK_OK(mo_atlas_writer_add(writer, second, (double[]){1e5, 1}));
+  CHECK_INT(mo_atlas_writer_finish(writer, &message), MO_ERR_INVALID);
+  CHECK_SAYS(message, "lacks 1 of 3 bodies");
+  REQUIRE_OK(mo_atlas_bodies_next(bodies, second));
+  CHECK_OK(mo_atlas_writer_add(writer, second, (double[]){0.25, 0.5}));
+  CHECK_INT(mo_atlas_writer_add(writer, second, (double[]){0.25, 0.5}), MO_ERR_CONFLICT);
+  CHECK_OK(mo_atlas_writer_finish(writer, &message));
+  mo_atlas_writer_free(writer);
+  mo_atlas_bodies_free(bodies);
+  const struct mo_atlas *atlas = fixture_open(path);
+  float losses[N];
+  CHECK(mo_atlas_score(atlas, 0) == INFINITY && mo_atlas_score(atlas, 1) == 50000.5F);
+  CHECK(mo_atlas_score(atlas, 2) == 0.375F);
+  mo_atlas_losses(atlas, 0, losses);
+  CHECK(losses[0] == 1 && losses[1] == INFINITY);
+  mo_atlas_losses(atlas, 1, losses);
+  CHECK(losses[0] == 65504 && losses[1] == 1);
+  source = fixture_source(8);
+}
+
+/* ---- disks that fail ---- */
+
+static long calls, failing; /* the call of this number fails */
+static int fault;
+
+static bool fails(void)
+{
+  errno = fault;
+  return ++calls == failing;
+}
+
+static ssize_t write_some(int fd, const void *bytes, size_t size)
+{
+  const bool is_faulty = fails(); /* half of it is written */
+  const ssize_t n = write(fd, bytes, is_faulty ? size / 2 : size < 50000 ? size : 50000);
+  errno = fault;
+  return is_faulty ? -1 : n;
+}
+static int sync_fails(int fd)
+{
+  return fails() ? -1 : fsync(fd);
+}
+static int rename_fails(const char *from, const char *to)
+{
+  return fails() ? -1 : rename(from, to);
+}
+
+static void failing_disk(int error)
+{
+  struct mo_file_operations files = mo_system_files;
+  size_t size;
+  const uint8_t *bytes = whole(&size);
+  int result = MO_ERR_IO;
+  files.write = write_some;
+  files.sync = sync_fails;
+  files.rename = rename_fails;
+  fault = error == MO_ERR_NO_SPACE ? ENOSPC : EIO;
+  for (failing = 1; result != MO_OK && failing < 1000; failing++) {
+    struct mo_message message = {""};
+    calls = 0;
+    result = fixture_write(&files, path, &source, environments, N, LEVELS, &message);
+    if (result == MO_OK)
+      break;
+    CHECK_INT(result, error);
+    if (access(path, F_OK) == 0) /* only the folder's sync failed */
+      CHECK(has_bytes(bytes, size) && unlink(path) == 0);
+    else
+      complete(bytes, size);
+  }
+  CHECK(result == MO_OK && failing > 25 && has_bytes(bytes, size));
+}
+
+/* ---- designs ---- */
+
+static void designs(void)
+{
+  struct mo_atlas_bodies *bodies = NULL;
+  uint64_t form[MO_DEFAULT_WORDS] = {0}, image[MO_DEFAULT_WORDS];
+  const struct mo_atlas_class class = {MO_DEFAULT_WORKSPACE, 5};
+  uint32_t of_n[MO_ORIENTATIONS + 1] = {0};
+  REQUIRE_OK(mo_atlas_bodies_create(&class, &bodies));
+  while (mo_atlas_bodies_next(bodies, form) == MO_OK) {
+    struct mo_bits made[MO_ORIENTATIONS];
+    struct mo_form_set *distinct = make_form_set(class.workspace);
+    const uint32_t n = mo_atlas_designs(&class, form, MO_ATLAS_IMAGES, made);
+    for (unsigned k = 0; k < MO_ORIENTATIONS; k++) {
+      CHECK_OK(make_image(class.workspace, form, k, image)); /* all fit */
+      mo_genotype_place(class.workspace, image);
+      (void)mo_form_set_add(distinct, image);
+    }
+    CHECK_INT(mo_form_set_count(distinct), n);
+    for (uint32_t i = 0; i < n; i++)
+      CHECK(mo_form_set_has(distinct, made[i].words));
+    of_n[n]++;
+    CHECK_INT(mo_atlas_designs(&class, form, MO_ATLAS_CANONICAL, made), 1);
+    mo_genotype_place(class.workspace, form);
+    CHECK(SAME(made[0].words, form, MO_DEFAULT_WORDS));
+  }
+  mo_atlas_bodies_free(bodies);
+  CHECK(of_n[1] > 0 && of_n[2] > 0 && of_n[4] > 0 && of_n[8] > 0);
+  CHECK_INT(of_n[1] + of_n[2] + of_n[4] + of_n[8], 124);
+  /* A bar of five along x does not fit a workspace of 5 × 1 turned by 90°. */
+  const struct mo_atlas_class narrow = {{5, 1, 1}, 5};
+  struct mo_bits made[MO_ORIENTATIONS];
+  CHECK_INT(mo_atlas_designs(&narrow, (uint64_t[]){31}, MO_ATLAS_IMAGES, made), 1);
+}
+
+static const struct check_case cases[] = {
+    {"killed at any moment", killed},
+    {"an end of anything", torn},
+    {"an altered block", altered_block},
+    {"other files and writers", conflicts},
+    {"sources that are refused", wrong_sources},
+    {"bodies and losses that are refused", wrong_bodies},
+    {"a full disk", WITH(failing_disk, MO_ERR_NO_SPACE)},
+    {"a failing disk", WITH(failing_disk, MO_ERR_IO)},
+    {"designs of a body", designs},
+};
+CHECK_MAIN_WITH(setup, cases)
