@@ -32,6 +32,7 @@ int bench_score_error(const struct bench_options *options);
 int bench_gradient_accuracy(const struct bench_options *options);
 int bench_gradient_order(const struct bench_options *options);
 int bench_stability(const struct bench_options *options);
+int bench_atlas(int argc, char **argv);
 int bench_space(int argc, char **argv);
 int bench_store(int argc, char **argv);
 int bench_stream(int argc, char **argv);

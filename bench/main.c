@@ -6,7 +6,7 @@
 
 static const char usage[] =
     "Usage: morpho-bench "
-    "rollout|gradient|gradient-accuracy|gradient-order|accuracy|score-error|stability|space|"
+    "rollout|gradient|gradient-accuracy|gradient-order|accuracy|score-error|stability|space|atlas|"
     "store|stream|evolution "
     "[OPTION…]\n\n  rollout   speed of one core on 200 distinct random bodies × the paper test "
     "set, against its best sgemm rate\n  gradient  speed of one core differentiating 256 rollouts, "
@@ -17,7 +17,9 @@ static const char usage[] =
     "scores against the real ones, as CSV and a summary\n  stability  physics that rollouts "
     "survive, with the linear bound, as CSV and tables\n  space     speed of drawing, naming and "
     "varying random "
-    "bodies\n  store     speed of durable submissions, saves and queries, in a new folder in the "
+    "bodies\n  atlas     all bodies of at most ten voxels, their file and its queries, in a new "
+    "folder in the given folder (default /tmp)\n  store     speed of durable submissions, saves "
+    "and queries, in a new folder in the "
     "given folder (default /tmp)\n  stream    the distinct bodies of a pretraining: time and "
     "memory\n  evolution  a campaign's bookkeeping without its rollouts; `morpho-bench evolution "
     "--help`\n\n  --bodies N         another number of bodies\n  --seed N           seed of the "
@@ -43,6 +45,7 @@ static const struct {
                   {"score-error", bench_score_error, NULL},
                   {"gradient-order", bench_gradient_order, NULL},
                   {"stability", bench_stability, NULL},
+                  {"atlas", NULL, bench_atlas},
                   {"space", NULL, bench_space},
                   {"store", NULL, bench_store},
                   {"stream", NULL, bench_stream}};

@@ -126,6 +126,87 @@ float mo_atlas_score(const struct mo_atlas *atlas, uint64_t position);
 /* losses: (n environments), with 11 significant bits each; finite ones are at most 65504. */
 void mo_atlas_losses(const struct mo_atlas *atlas, uint64_t position, float *losses);
 
+/* ---- neighbors ---- */
+
+/* Bodies that differ by one voxel. A moved voxel is taken from a body that stays in one piece, and
+ * added elsewhere. */
+enum mo_atlas_step { MO_ATLAS_ADD = 1, MO_ATLAS_REMOVE = 2, MO_ATLAS_MOVE = 4 };
+#define MO_ATLAS_GROW_SHRINK   (MO_ATLAS_ADD | MO_ATLAS_REMOVE)
+#define MO_ATLAS_NEIGHBORS_MAX 512
+
+struct mo_atlas_neighbor {
+  uint64_t position;
+  float score;
+  enum mo_atlas_step step; /* from the body to its neighbor */
+};
+/* Writes the distinct neighbors of a body by these steps (of enum mo_atlas_step), without itself:
+ * the best score first, of equal ones the lowest position. Neighbors outside the class are left
+ * out. Returns their number. */
+uint32_t mo_atlas_neighbors(const struct mo_atlas *atlas, uint64_t position, unsigned steps,
+                            struct mo_atlas_neighbor neighbors[MO_ATLAS_NEIGHBORS_MAX]);
+/* Finds the first of these if its score is lower than the body's: the best change.
+ * MO_ERR_NOT_FOUND: the body is a local optimum. */
+int mo_atlas_best_step(const struct mo_atlas *atlas, uint64_t position, unsigned steps,
+                       struct mo_atlas_neighbor *neighbor);
+/* Follows the best changes from a body to a local optimum: steepest ascent. path: (max), gets the
+ * first bodies of the path, which begins with `position`. Returns the number of bodies on the whole
+ * path; *optimum: the last. */
+uint64_t mo_atlas_ascend(const struct mo_atlas *atlas, uint64_t position, unsigned steps,
+                         uint64_t *path, uint64_t max, uint64_t *optimum);
+
+/* ---- ranks ---- */
+
+/* All positions sorted by score, of equal ones the lowest position first; over all sizes and for
+ * each size. In memory, 8 bytes per body. Const after it is made; does not outlive the atlas. */
+struct mo_atlas_index;
+int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **index);
+void mo_atlas_index_free(struct mo_atlas_index *index); /* NULL-safe */
+
+/* In the functions below, n_voxels 0 stands for all sizes. */
+
+struct mo_atlas_rank {
+  uint64_t better, equal, worse; /* bodies with lower, equal (others) and higher scores */
+  double percentile; /* of the others, how many are worse, and half of the equal ones, in percent;
+                        100 if there are no others */
+};
+/* Ranks a body among all bodies or, with `within_size`, among those with as many voxels. Its rank
+ * is `better` + 1. */
+struct mo_atlas_rank mo_atlas_rank_of(const struct mo_atlas_index *index, uint64_t position,
+                                      bool within_size);
+/* Returns the position of the body with i better ones before it, i below the number of bodies. 0:
+ * the optimum. */
+uint64_t mo_atlas_nth(const struct mo_atlas_index *index, uint32_t n_voxels, uint64_t i);
+/* Writes the best bodies. Returns their number: `max`, or as many as there are. */
+uint64_t mo_atlas_best(const struct mo_atlas_index *index, uint32_t n_voxels, uint64_t max,
+                       uint64_t *positions);
+/* Counts the bodies with edges[i] ≤ score < edges[i + 1]. edges: (n + 1), ascending. */
+void mo_atlas_histogram(const struct mo_atlas_index *index, uint32_t n_voxels, const float *edges,
+                        uint32_t n, uint64_t *counts);
+
+/* The best body of each footprint: the number of voxel columns (x, y) with at least one voxel, as
+ * in struct mo_design_size. Reads all bodies, in about a second. */
+struct mo_atlas_footprint {
+  uint64_t bodies;  /* with this footprint */
+  uint64_t optimum; /* the best, if there are any */
+};
+void mo_atlas_footprints(const struct mo_atlas *atlas,
+                         struct mo_atlas_footprint footprints[MO_ATLAS_VOXELS_MAX + 1]);
+
+/* ---- basins ---- */
+
+/* Where steepest ascent by adding and removing voxels ends, for all bodies: computed once, in a few
+ * seconds; in memory, 8 bytes per body. Const after it is made. */
+struct mo_atlas_basins;
+/* cancel (nullable): set to stop (MO_ERR_CANCELLED). MO_ERR_NO_MEMORY. */
+int mo_atlas_basins_create(const struct mo_atlas *atlas, const struct mo_atlas_index *index,
+                           const volatile int *cancel, struct mo_atlas_basins **basins);
+void mo_atlas_basins_free(struct mo_atlas_basins *basins);      /* NULL-safe */
+uint64_t mo_atlas_optima(const struct mo_atlas_basins *basins); /* local optima in all */
+/* Returns the local optimum that a body's ascent ends at. */
+uint64_t mo_atlas_optimum_of(const struct mo_atlas_basins *basins, uint64_t position);
+/* Returns the number of bodies whose ascent ends at this one, with itself; 0: no local optimum. */
+uint64_t mo_atlas_basin_of(const struct mo_atlas_basins *basins, uint64_t position);
+
 #ifdef __cplusplus
 }
 #endif

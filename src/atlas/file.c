@@ -162,24 +162,30 @@ static int read_all(int fd, struct mo_atlas *atlas, struct mo_message *message)
   return error == MO_OK ? MO_OK : fail_to_read(error, message);
 }
 
+static int map(int fd, struct mo_atlas *atlas, struct mo_message *message)
+{
+  void *mapped = mmap(NULL, atlas->bytes, PROT_READ, MAP_SHARED, fd, 0);
+  if (mapped == MAP_FAILED)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "cannot map the atlas file: %s", strerror(errno));
+  atlas->mapped = mapped;
+  return MO_OK;
+}
+
 int mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *message)
 {
+  struct mo_atlas *made = calloc(1, sizeof(*made));
+  if (made == NULL)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
   /* O_NONBLOCK: opening a pipe must not wait for a writer. */
   const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
   if (fd < 0) {
     const int error = errno == ENOENT ? MO_ERR_NOT_FOUND : mo_open_error();
+    free(made);
     return mo_fail(message, error, "cannot open the atlas file %.150s: %s", path, strerror(errno));
   }
-  struct mo_atlas *made = calloc(1, sizeof(*made));
-  int error = made != NULL ? read_all(fd, made, message)
-                           : mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-  if (error == MO_OK) {
-    void *mapped = mmap(NULL, made->bytes, PROT_READ, MAP_SHARED, fd, 0);
-    if (mapped == MAP_FAILED)
-      error = mo_fail(message, MO_ERR_NO_MEMORY, "cannot map the atlas file: %s", strerror(errno));
-    else
-      made->mapped = mapped;
-  }
+  int error = read_all(fd, made, message);
+  if (error == MO_OK)
+    error = map(fd, made, message);
   (void)close(fd);
   if (error == MO_OK)
     *atlas = made;
@@ -193,7 +199,7 @@ void mo_atlas_close(struct mo_atlas *atlas)
   if (atlas == NULL)
     return;
   if (atlas->mapped != NULL)
-    (void)munmap((void *)(uintptr_t)atlas->mapped, atlas->bytes);
+    (void)munmap(atlas->mapped, atlas->bytes);
   mo_environments_free(atlas->environments, atlas->layout.n_environments);
   free(atlas->blocks);
   free(atlas->first_keys);

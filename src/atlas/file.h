@@ -11,7 +11,7 @@ struct mo_atlas {
   struct mo_environment *environments;
   struct mo_atlas_block *blocks; /* all */
   uint64_t *first_keys;          /* (blocks) */
-  const uint8_t *mapped;         /* the file */
+  uint8_t *mapped;               /* the file, read-only */
   size_t bytes;
 };
 

@@ -77,7 +77,7 @@ int mo_atlas_environments_pack(const struct mo_environment *environments, uint32
     (void)cleared(&environments[i], &head);
     all += sizeof(head) + padded(head.bytes);
   }
-  uint8_t *packed = calloc(1, all), *to = packed;
+  uint8_t *packed = calloc(1, all > 0 ? all : 1), *to = packed;
   if (packed == NULL)
     return MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < n; i++) {

@@ -73,11 +73,12 @@ static void blocks(void)
 static void environments(void)
 {
   const double heights[] = {0.1, 0.2, 0.1, 0.3, 0.2, 0.1};
-  const struct mo_atlas_source source = fixture_source(3);
+  struct mo_atlas_source source = fixture_source(3);
   struct mo_environment list[3] = {mo_environment_defaults, mo_environment_defaults};
   struct mo_message message = {""};
   char path[FIXTURE_PATH];
   uint32_t n = 0;
+  source.orientations = MO_ATLAS_IMAGES;
   mo_environment_training(1, 2, 3, &list[0]);
   list[1].task.guide = (struct mo_guide){.kind = MO_GUIDE_AHEAD, .distance_m = 1.5};
   list[1].task.objective = MO_OBJECTIVE_TRAVEL;
@@ -97,7 +98,13 @@ static void environments(void)
     CHECK(mo_sha256_equal(&expected, &found));
   }
   CHECK(read[2].grid != NULL && read[2].grid->columns == 3);
-  CHECK(SAME(mo_atlas_source_of(atlas), &source, 1));
+  const struct mo_atlas_source *found = mo_atlas_source_of(atlas);
+  CHECK(mo_workspace_equal(found->class.workspace, source.class.workspace));
+  CHECK_INT(found->class.voxels_max, source.class.voxels_max);
+  CHECK_INT(found->orientations, MO_ATLAS_IMAGES);
+  CHECK(SAME(found->controller_sha256, source.controller_sha256, 32));
+  CHECK(SAME(found->physics_sha256, source.physics_sha256, 32));
+  CHECK_TEXT(found->fingerprint, source.fingerprint);
   mo_environments_drop(list, 3);
 }
 

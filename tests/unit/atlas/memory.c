@@ -42,6 +42,27 @@ static void files(void)
   each_fails(write_and_open, 20);
 }
 
+static struct mo_atlas *opened;
+
+static int query(void)
+{
+  struct mo_atlas_index *index = NULL;
+  struct mo_atlas_basins *basins = NULL;
+  int error = mo_atlas_index_create(opened, &index);
+  if (error == MO_OK)
+    error = mo_atlas_basins_create(opened, index, NULL, &basins);
+  mo_atlas_basins_free(basins);
+  mo_atlas_index_free(index);
+  return error;
+}
+
+static void queries(void)
+{
+  const struct mo_atlas_source source = fixture_source(5);
+  opened = fixture_atlas(&source, 10);
+  each_fails(query, 8);
+}
+
 static void streams(void)
 {
   each_fails(stream, 20);
@@ -50,5 +71,6 @@ static void streams(void)
 static const struct check_case cases[] = {
     {"a stream of bodies", streams},
     {"writing and opening a file", files},
+    {"index and basins", queries},
 };
 CHECK_MAIN(cases)

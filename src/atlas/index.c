@@ -1,0 +1,173 @@
+/* index.c: ranks, best bodies and histograms, from positions sorted by score. */
+#include "atlas/index.h"
+
+#include "atlas/neighbors.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+/* Returns a number that is ordered like a score, which is not NaN. −0 and 0 are one score. */
+static uint32_t order_of(float score)
+{
+  uint32_t bits;
+  score = score == 0 ? 0 : score;
+  memcpy(&bits, &score, sizeof(bits));
+  return bits >> 31 != 0 ? ~bits : bits | UINT32_C(1) << 31;
+}
+
+/* Sorts all positions: each item has the score in its low half, so that a stable sort by it keeps
+ * equal ones in the order of their positions. */
+static int sort_all(struct mo_atlas_index *index)
+{
+  uint64_t *items = malloc(index->n * sizeof(*items)), *scratch = malloc(index->n * sizeof(*items));
+  const int error = items != NULL && scratch != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  if (error == MO_OK) {
+    for (uint64_t i = 0; i < index->n; i++)
+      items[i] = i << 32 | order_of(mo_atlas_score(index->atlas, i));
+    mo_atlas_sort(items, scratch, index->n, 4);
+    for (uint64_t i = 0; i < index->n; i++)
+      index->all[i] = (uint32_t)(items[i] >> 32);
+  }
+  free(items);
+  free(scratch);
+  return error;
+}
+
+static void divide_by_size(struct mo_atlas_index *index)
+{
+  const struct mo_atlas_layout *layout = &index->atlas->layout;
+  uint64_t ends[MO_ATLAS_VOXELS_MAX];
+  memcpy(ends, layout->firsts, sizeof(ends));
+  for (uint64_t i = 0; i < index->n; i++) {
+    uint32_t size = 0;
+    while (index->all[i] >= layout->firsts[size + 1])
+      size++;
+    index->by_size[ends[size]++] = index->all[i];
+  }
+}
+
+int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **index)
+{
+  struct mo_atlas_index *made = calloc(1, sizeof(*made));
+  if (made == NULL)
+    return MO_ERR_NO_MEMORY;
+  made->atlas = atlas;
+  made->n = mo_atlas_bodies_of(atlas);
+  made->all = malloc(made->n * sizeof(*made->all));
+  made->by_size = malloc(made->n * sizeof(*made->by_size));
+  int error = made->all != NULL && made->by_size != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  if (error == MO_OK)
+    error = sort_all(made);
+  if (error != MO_OK) {
+    mo_atlas_index_free(made);
+    return error;
+  }
+  divide_by_size(made);
+  *index = made;
+  return MO_OK;
+}
+
+void mo_atlas_index_free(struct mo_atlas_index *index)
+{
+  if (index == NULL)
+    return;
+  free(index->all);
+  free(index->by_size);
+  free(index);
+}
+
+/* ---- queries ---- */
+
+/* Returns the sorted positions of a size, or of all sizes. */
+static const uint32_t *sorted(const struct mo_atlas_index *index, uint32_t n_voxels, uint64_t *n)
+{
+  uint64_t first = 0;
+  if (n_voxels == 0) {
+    *n = index->n;
+    return index->all;
+  }
+  *n = mo_atlas_size(index->atlas, n_voxels, &first);
+  return index->by_size + first;
+}
+
+/* Counts the positions with a lower score or, with `or_equal`, one that is not higher. */
+static uint64_t count(const struct mo_atlas_index *index, const uint32_t *positions, uint64_t n,
+                      float score, bool or_equal)
+{
+  uint64_t low = 0, high = n;
+  while (low < high) {
+    const uint64_t middle = low + (high - low) / 2;
+    const float there = mo_atlas_score(index->atlas, positions[middle]);
+    if (there < score || (or_equal && there == score))
+      low = middle + 1;
+    else
+      high = middle;
+  }
+  return low;
+}
+
+struct mo_atlas_rank mo_atlas_rank_of(const struct mo_atlas_index *index, uint64_t position,
+                                      bool within_size)
+{
+  uint64_t key, n;
+  const uint32_t n_voxels = within_size ? mo_atlas_key_at(index->atlas, position, &key) : 0;
+  const uint32_t *positions = sorted(index, n_voxels, &n);
+  const float score = mo_atlas_score(index->atlas, position);
+  const uint64_t better = count(index, positions, n, score, false);
+  const uint64_t up_to = count(index, positions, n, score, true);
+  struct mo_atlas_rank rank = {
+      .better = better, .equal = up_to - better - 1, .worse = n - up_to, .percentile = 100};
+  if (n > 1)
+    rank.percentile = 100 * ((double)rank.worse + (double)rank.equal / 2) / (double)(n - 1);
+  return rank;
+}
+
+uint64_t mo_atlas_nth(const struct mo_atlas_index *index, uint32_t n_voxels, uint64_t i)
+{
+  uint64_t n;
+  return sorted(index, n_voxels, &n)[i];
+}
+
+uint64_t mo_atlas_best(const struct mo_atlas_index *index, uint32_t n_voxels, uint64_t max,
+                       uint64_t *positions)
+{
+  uint64_t n;
+  const uint32_t *from = sorted(index, n_voxels, &n);
+  n = n < max ? n : max;
+  for (uint64_t i = 0; i < n; i++)
+    positions[i] = from[i];
+  return n;
+}
+
+void mo_atlas_histogram(const struct mo_atlas_index *index, uint32_t n_voxels, const float *edges,
+                        uint32_t n, uint64_t *counts)
+{
+  uint64_t bodies;
+  const uint32_t *positions = sorted(index, n_voxels, &bodies);
+  uint64_t before = count(index, positions, bodies, edges[0], false);
+  for (uint32_t i = 0; i < n; i++) {
+    const uint64_t up_to = count(index, positions, bodies, edges[i + 1], false);
+    counts[i] = up_to - before;
+    before = up_to;
+  }
+}
+
+void mo_atlas_footprints(const struct mo_atlas *atlas,
+                         struct mo_atlas_footprint footprints[MO_ATLAS_VOXELS_MAX + 1])
+{
+  const uint64_t n = mo_atlas_bodies_of(atlas);
+  const uint32_t nz = atlas->source.class.workspace.nz;
+  memset(footprints, 0, (MO_ATLAS_VOXELS_MAX + 1) * sizeof(*footprints));
+  for (uint64_t i = 0; i < n; i++) {
+    uint32_t voxels[MO_ATLAS_VOXELS_MAX], columns = 1;
+    uint64_t key;
+    const uint32_t n_voxels = mo_atlas_key_at(atlas, i, &key);
+    mo_atlas_key_voxels(&atlas->sets, key, n_voxels, voxels);
+    for (uint32_t v = 1; v < n_voxels; v++) /* the voxels of a column follow each other */
+      columns += voxels[v] / nz != voxels[v - 1] / nz;
+    struct mo_atlas_footprint *footprint = &footprints[columns];
+    if (footprint->bodies++ == 0 ||
+        mo_atlas_score(atlas, i) < mo_atlas_score(atlas, footprint->optimum))
+      footprint->optimum = i;
+  }
+}

@@ -1,0 +1,14 @@
+/* index.h: positions sorted by score. */
+#ifndef MORPHO_ATLAS_INDEX_H
+#define MORPHO_ATLAS_INDEX_H
+
+#include "atlas/file.h"
+
+struct mo_atlas_index {
+  const struct mo_atlas *atlas;
+  uint64_t n;
+  uint32_t *all;     /* (n) positions, the best first */
+  uint32_t *by_size; /* (n) the same for each size, where its positions are in the atlas */
+};
+
+#endif
