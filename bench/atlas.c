@@ -25,14 +25,14 @@ static double loss_of(const uint64_t *form, uint32_t environment)
   return (double)(hash >> 40) / (double)(UINT64_C(1) << 24);
 }
 
-static void find_all(const struct mo_atlas_class *class)
+static void find_all(const struct mo_atlas_scope *scope)
 {
   static const uint64_t known[MO_ATLAS_VOXELS_MAX] = {1,   2,    5,     21,     95,
                                                       530, 3168, 20313, 133961, 899126};
   struct mo_atlas_bodies *bodies = NULL;
   uint64_t counts[MO_ATLAS_VOXELS_MAX];
   const double start = bench_thread_s();
-  bench_check(mo_atlas_bodies_create(class, &bodies), "stream of bodies");
+  bench_check(mo_atlas_bodies_create(scope, &bodies), "stream of bodies");
   bench_check(mo_atlas_bodies_count(bodies, counts), "bodies");
   printf("%-46s %10.2f s\n", "finding all bodies", bench_thread_s() - start);
   mo_atlas_bodies_free(bodies);
@@ -54,7 +54,7 @@ static void write_all(const struct mo_atlas_source *source, const char *path)
   error =
       mo_atlas_writer_create(path, source, environments, MO_PAPER_TEST_COUNT, &writer, &message);
   bench_check(error, message.text);
-  bench_check(mo_atlas_bodies_create(&source->class, &bodies), "stream of bodies");
+  bench_check(mo_atlas_bodies_create(&source->scope, &bodies), "stream of bodies");
   while ((error = mo_atlas_bodies_next(bodies, form)) == MO_OK) {
     for (uint32_t e = 0; e < MO_PAPER_TEST_COUNT; e++)
       losses[e] = loss_of(form, e);
@@ -152,7 +152,7 @@ static bool ask_all(const struct mo_atlas *atlas, const struct mo_atlas_index *i
 
 int bench_atlas(int argc, char **argv)
 {
-  const struct mo_atlas_source source = {.class = {MO_DEFAULT_WORKSPACE, MO_ATLAS_VOXELS_MAX},
+  const struct mo_atlas_source source = {.scope = {MO_DEFAULT_WORKSPACE, MO_ATLAS_VOXELS_MAX},
                                          .fingerprint = "invented losses"};
   struct mo_atlas *atlas = NULL;
   struct mo_atlas_index *index = NULL;
@@ -165,7 +165,7 @@ int bench_atlas(int argc, char **argv)
     return EXIT_FAILURE;
   }
   snprintf(path, sizeof(path), "%s/bench.atlas", folder);
-  find_all(&source.class);
+  find_all(&source.scope);
   write_all(&source, path);
   double start = bench_now_s();
   const int error = mo_atlas_open(path, &atlas, &message);

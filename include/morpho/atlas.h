@@ -1,12 +1,12 @@
 /* atlas.h: the atlas: all bodies of at most ten voxels, and files with the scores of all of them.
  *
- * A class of bodies is a workspace and a largest number of voxels. Its bodies are the canonical
- * forms of those sizes that fit the workspace, each once, in a fixed order: by size, and then by
- * id, the largest first. A body's place in this order, from 0, is its position. In the workspace of
- * 6 × 6 × 4 voxels there are 1, 2, 5, 21, 95, 530, 3168, 20313, 133961 and 899126 bodies of 1 to 10
- * voxels. docs/atlas.md has the file format and the definitions of all queries.
+ * A scope is a workspace and a largest number of voxels. Its bodies are the canonical forms of
+ * those sizes that fit the workspace, each once, in a fixed order: by size, and then by id, the
+ * largest first. A body's place in this order, from 0, is its position. In the workspace of 6 × 6 ×
+ * 4 voxels there are 1, 2, 5, 21, 95, 530, 3168, 20313, 133961 and 899126 bodies of 1 to 10 voxels.
+ * docs/atlas.md has the file format and the definitions of all queries.
  *
- * Forms are words of the class's workspace (morphospace.h). Scores are mean losses: lower is
+ * Forms are words of the scope's workspace (morphospace.h). Scores are mean losses: lower is
  * better. */
 #ifndef MORPHO_ATLAS_H
 #define MORPHO_ATLAS_H
@@ -28,28 +28,28 @@ extern "C" {
 #define MO_ATLAS_ENVIRONMENTS_MAX 64
 #define MO_ATLAS_FINGERPRINT      64 /* bytes, with the NUL */
 
-struct mo_atlas_class {
+struct mo_atlas_scope {
   struct mo_workspace workspace; /* at most MO_ATLAS_WORKSPACE_MAX voxels */
   uint32_t voxels_max;           /* 1 … MO_ATLAS_VOXELS_MAX */
 };
 /* MO_ERR_RANGE or MO_ERR_LIMIT; message (nullable) says what to do. */
-int mo_atlas_class_check(const struct mo_atlas_class *class, struct mo_message *message);
+int mo_atlas_scope_check(const struct mo_atlas_scope *scope, struct mo_message *message);
 
 /* ---- all bodies ---- */
 
-/* A stream of all bodies of a class, in order. It holds the keys of one size at a time, 8 bytes per
+/* A stream of all bodies of a scope, in order. It holds the keys of one size at a time, 8 bytes per
  * body: 7 MB for ten voxels, and three times as much while it finds them. It finds the bodies of a
  * size when the first of them is needed; all ten sizes take a few seconds. Not for concurrent
  * use. */
 struct mo_atlas_bodies;
-int mo_atlas_bodies_create(const struct mo_atlas_class *class, struct mo_atlas_bodies **bodies);
+int mo_atlas_bodies_create(const struct mo_atlas_scope *scope, struct mo_atlas_bodies **bodies);
 void mo_atlas_bodies_free(struct mo_atlas_bodies *bodies); /* NULL-safe */
 /* Writes the next form. MO_ERR_EXHAUSTED after the last; MO_ERR_NO_MEMORY. */
 int mo_atlas_bodies_next(struct mo_atlas_bodies *bodies, uint64_t *form);
 /* Continues at a position; that after the last body is allowed. MO_ERR_RANGE: beyond that;
  * MO_ERR_NO_MEMORY: the stream is where it was. */
 int mo_atlas_bodies_seek(struct mo_atlas_bodies *bodies, uint64_t position);
-/* Counts the bodies of 1, 2, … voxels; 0 for sizes above the class's. Finds all of them if they
+/* Counts the bodies of 1, 2, … voxels; 0 for sizes above the scope's. Finds all of them if they
  * were not found before. MO_ERR_NO_MEMORY. */
 int mo_atlas_bodies_count(struct mo_atlas_bodies *bodies, uint64_t counts[MO_ATLAS_VOXELS_MAX]);
 
@@ -63,13 +63,13 @@ extern const char *const mo_atlas_orientation_words[]; /* "canonical", "images",
 
 /* Writes the placed designs that are scored for a body: one, or its distinct images in the order of
  * their orientations (mo_genotype_robot). Returns their number, at most 8. */
-uint32_t mo_atlas_designs(const struct mo_atlas_class *class, const uint64_t *form,
+uint32_t mo_atlas_designs(const struct mo_atlas_scope *scope, const uint64_t *form,
                           enum mo_atlas_orientations orientations,
                           struct mo_bits designs[MO_ORIENTATIONS]);
 
 /* What the losses of a file depend on, with the environments. */
 struct mo_atlas_source {
-  struct mo_atlas_class class;
+  struct mo_atlas_scope scope;
   enum mo_atlas_orientations orientations;
   uint8_t controller_sha256[32];
   uint8_t physics_sha256[32];
@@ -81,7 +81,7 @@ struct mo_atlas_source {
  * the machine stops, a new writer of the same path continues after the last whole block, which is
  * durable. The same source, environments and losses give the same bytes. Not for concurrent use. */
 struct mo_atlas_writer;
-/* environments: (n). Finds all bodies of the class first, to count them. MO_ERR_CONFLICT: PATH
+/* environments: (n). Finds all bodies of the scope first, to count them. MO_ERR_CONFLICT: PATH
  * exists, or PATH.part belongs to another atlas; MO_ERR_BUSY: another writer has it; MO_ERR_RANGE,
  * MO_ERR_INVALID, MO_ERR_LIMIT, MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY, MO_ERR_IO. */
 int mo_atlas_writer_create(const char *path, const struct mo_atlas_source *source,
@@ -117,7 +117,7 @@ uint64_t mo_atlas_bodies_of(const struct mo_atlas *atlas); /* in all */
 /* Returns the number of bodies of n_voxels voxels; *first (nullable): the position of the first. */
 uint64_t mo_atlas_size(const struct mo_atlas *atlas, uint32_t n_voxels, uint64_t *first);
 
-/* Finds a body in any place and orientation. MO_ERR_NOT_FOUND: it is not in the class. */
+/* Finds a body in any place and orientation. MO_ERR_NOT_FOUND: it is not in the scope. */
 int mo_atlas_find(const struct mo_atlas *atlas, const uint64_t *bits, uint64_t *position);
 /* For positions below mo_atlas_bodies_of. form: words of the workspace. Returns the voxels. */
 uint32_t mo_atlas_form(const struct mo_atlas *atlas, uint64_t position, uint64_t *form);
@@ -140,7 +140,7 @@ struct mo_atlas_neighbor {
   enum mo_atlas_step step; /* from the body to its neighbor */
 };
 /* Writes the distinct neighbors of a body by these steps (of enum mo_atlas_step), without itself:
- * the best score first, of equal ones the lowest position. Neighbors outside the class are left
+ * the best score first, of equal ones the lowest position. Neighbors outside the scope are left
  * out. Returns their number. */
 uint32_t mo_atlas_neighbors(const struct mo_atlas *atlas, uint64_t position, unsigned steps,
                             struct mo_atlas_neighbor neighbors[MO_ATLAS_NEIGHBORS_MAX]);

@@ -23,9 +23,9 @@ const char *const mo_atlas_orientation_words[] = {"canonical", "images", NULL};
 
 /* ---- opening ---- */
 
-static struct mo_atlas_class class_of(const struct mo_atlas_head *head)
+static struct mo_atlas_scope scope_of(const struct mo_atlas_head *head)
 {
-  return (struct mo_atlas_class){
+  return (struct mo_atlas_scope){
       .workspace = {(uint16_t)head->sides[0], (uint16_t)head->sides[1], (uint16_t)head->sides[2]},
       .voxels_max = head->voxels_max};
 }
@@ -33,12 +33,12 @@ static struct mo_atlas_class class_of(const struct mo_atlas_head *head)
 /* Returns whether the numbers of a head are within their bounds, in a file of this size. */
 static bool is_sound(const struct mo_atlas_head *head, uint64_t file_bytes)
 {
-  const struct mo_atlas_class class = class_of(head);
+  const struct mo_atlas_scope scope = scope_of(head);
   uint64_t bodies = 0;
   for (int axis = 0; axis < 3; axis++)
     if (head->sides[axis] > UINT16_MAX)
       return false;
-  if (mo_atlas_class_check(&class, NULL) != MO_OK || head->orientations > MO_ATLAS_IMAGES ||
+  if (mo_atlas_scope_check(&scope, NULL) != MO_OK || head->orientations > MO_ATLAS_IMAGES ||
       head->n_environments < 1 || head->n_environments > MO_ATLAS_ENVIRONMENTS_MAX ||
       head->block_bodies != MO_ATLAS_BLOCK || head->environments_bytes % 8 != 0 ||
       memchr(head->fingerprint, '\0', sizeof(head->fingerprint)) == NULL)
@@ -146,12 +146,12 @@ static int read_all(int fd, struct mo_atlas *atlas, struct mo_message *message)
   if (error != MO_OK)
     return error;
   atlas->source = (struct mo_atlas_source){
-      .class = class_of(&head), .orientations = (enum mo_atlas_orientations)head.orientations};
+      .scope = scope_of(&head), .orientations = (enum mo_atlas_orientations)head.orientations};
   memcpy(atlas->source.controller_sha256, head.controller.bytes, sizeof(head.controller.bytes));
   memcpy(atlas->source.physics_sha256, head.physics.bytes, sizeof(head.physics.bytes));
   memcpy(atlas->source.fingerprint, head.fingerprint, sizeof(head.fingerprint));
   mo_atlas_layout_fill(&head, &atlas->layout);
-  mo_atlas_sets_fill(atlas->source.class.workspace, &atlas->sets);
+  mo_atlas_sets_fill(atlas->source.scope.workspace, &atlas->sets);
   error = read_environments(fd, &head, atlas);
   if (error == MO_ERR_CORRUPT)
     return mo_fail(message, error, "the environments of the atlas file are damaged: " REMEDY);
@@ -266,7 +266,7 @@ uint32_t mo_atlas_form(const struct mo_atlas *atlas, uint64_t position, uint64_t
   uint64_t key;
   const uint32_t n = mo_atlas_key_at(atlas, position, &key);
   mo_atlas_key_voxels(&atlas->sets, key, n, voxels);
-  mo_atlas_bits_of(atlas->source.class.workspace, voxels, n, form);
+  mo_atlas_bits_of(atlas->source.scope.workspace, voxels, n, form);
   return n;
 }
 
@@ -332,7 +332,7 @@ int mo_atlas_find_key(const struct mo_atlas *atlas, uint32_t n_voxels, uint64_t 
 
 int mo_atlas_find(const struct mo_atlas *atlas, const uint64_t *bits, uint64_t *position)
 {
-  const struct mo_workspace workspace = atlas->source.class.workspace;
+  const struct mo_workspace workspace = atlas->source.scope.workspace;
   uint64_t form[MO_DEFAULT_WORDS];
   uint32_t voxels[MO_ATLAS_VOXELS_MAX];
   const uint32_t n = mo_genotype_count(workspace, bits);

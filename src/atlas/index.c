@@ -156,7 +156,7 @@ void mo_atlas_footprints(const struct mo_atlas *atlas,
                          struct mo_atlas_footprint footprints[MO_ATLAS_VOXELS_MAX + 1])
 {
   const uint64_t n = mo_atlas_bodies_of(atlas);
-  const uint32_t nz = atlas->source.class.workspace.nz;
+  const uint32_t nz = atlas->source.scope.workspace.nz;
   memset(footprints, 0, (MO_ATLAS_VOXELS_MAX + 1) * sizeof(*footprints));
   for (uint64_t i = 0; i < n; i++) {
     uint32_t voxels[MO_ATLAS_VOXELS_MAX], columns = 1;

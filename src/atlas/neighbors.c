@@ -128,7 +128,7 @@ static bool stays_whole(const uint32_t *next_to, uint32_t n, uint32_t gone)
 static void cells_of(const struct mo_atlas *atlas, uint64_t position, uint64_t *key,
                      struct cells *cells)
 {
-  const struct mo_workspace workspace = atlas->source.class.workspace;
+  const struct mo_workspace workspace = atlas->source.scope.workspace;
   uint32_t voxels[MO_ATLAS_VOXELS_MAX];
   cells->n = mo_atlas_key_at(atlas, position, key);
   mo_atlas_key_voxels(&atlas->sets, *key, cells->n, voxels);
@@ -143,7 +143,7 @@ uint32_t mo_atlas_changes(const struct mo_atlas *atlas, uint64_t position, unsig
                           struct mo_atlas_change changes[MO_ATLAS_NEIGHBORS_MAX])
 {
   struct finding finding = {
-      .atlas = atlas, .workspace = atlas->source.class.workspace, .changes = changes};
+      .atlas = atlas, .workspace = atlas->source.scope.workspace, .changes = changes};
   uint32_t next_to[MO_ATLAS_VOXELS_MAX] = {0};
   struct cells cells = {0};
   cells_of(atlas, position, &finding.own_key, &cells);

@@ -11,7 +11,7 @@ struct mo_atlas_change {
 };
 
 /* Finds the distinct bodies that fit the workspace and differ by one of these steps, in no
- * particular order; they may have more voxels than the class. Returns their number. */
+ * particular order; they may have more voxels than the scope. Returns their number. */
 uint32_t mo_atlas_changes(const struct mo_atlas *atlas, uint64_t position, unsigned steps,
                           struct mo_atlas_change changes[MO_ATLAS_NEIGHBORS_MAX]);
 

@@ -24,7 +24,7 @@
 
 struct mo_atlas_writer {
   const struct mo_file_operations *files;
-  struct mo_atlas_class class;
+  struct mo_atlas_scope scope;
   struct mo_atlas_layout layout;
   struct mo_atlas_sets sets;
   struct mo_atlas_bodies *bodies;
@@ -123,7 +123,7 @@ int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, co
   if (writer->position == writer->layout.firsts[MO_ATLAS_VOXELS_MAX])
     return MO_ERR_CONFLICT;
   const struct mo_atlas_block block = mo_atlas_block_of(&writer->layout, writer->block);
-  if (mo_atlas_voxels_of(writer->class.workspace, form, voxels) != block.n_voxels ||
+  if (mo_atlas_voxels_of(writer->scope.workspace, form, voxels) != block.n_voxels ||
       mo_atlas_key_of(&writer->sets, voxels, block.n_voxels) != writer->next_key)
     return MO_ERR_CONFLICT;
   for (uint32_t e = 0; e < writer->layout.n_environments; e++)
@@ -239,17 +239,26 @@ static int lock(struct mo_atlas_writer *writer, struct stat *status, struct mo_m
       named.st_ino != status->st_ino || named.st_dev != status->st_dev)
     return mo_fail(message, MO_ERR_BUSY, "another writer has just finished %.150s: use its file",
                    writer->path);
-  if (stat(writer->path, &named) == 0)
-    return mo_fail(message, MO_ERR_CONFLICT,
-                   "%.150s exists already: remove it, or choose another name", writer->path);
   return MO_OK;
+}
+
+static int refuse_complete(const struct mo_atlas_writer *writer, struct mo_message *message)
+{
+  if (access(writer->path, F_OK) != 0)
+    return MO_OK;
+  return mo_fail(message, MO_ERR_CONFLICT,
+                 "%.150s exists already: remove it, or choose another name", writer->path);
 }
 
 static int begin(struct mo_atlas_writer *writer, struct mo_message *message)
 {
   struct stat status;
   bool is_same = false, is_cut = false;
-  int error = lock(writer, &status, message);
+  int error = refuse_complete(writer, message);
+  if (error == MO_OK)
+    error = lock(writer, &status, message);
+  if (error == MO_OK) /* it may have been finished since */
+    error = refuse_complete(writer, message);
   if (error != MO_OK)
     return error;
   const uint64_t file_bytes = (uint64_t)status.st_size;
@@ -275,7 +284,7 @@ static int begin(struct mo_atlas_writer *writer, struct mo_message *message)
 static int check(const struct mo_atlas_source *source, const struct mo_environment *environments,
                  uint32_t n, struct mo_message *message)
 {
-  const int error = mo_atlas_class_check(&source->class, message);
+  const int error = mo_atlas_scope_check(&source->scope, message);
   if (error != MO_OK)
     return error;
   if (source->orientations != MO_ATLAS_CANONICAL && source->orientations != MO_ATLAS_IMAGES)
@@ -302,8 +311,8 @@ static int make_beginning(struct mo_atlas_writer *writer, const struct mo_atlas_
       .magic = MO_ATLAS_MAGIC,
       .byte_order = MO_ATLAS_ORDER,
       .version = MO_ATLAS_VERSION,
-      .sides = {source->class.workspace.nx, source->class.workspace.ny, source->class.workspace.nz},
-      .voxels_max = source->class.voxels_max,
+      .sides = {source->scope.workspace.nx, source->scope.workspace.ny, source->scope.workspace.nz},
+      .voxels_max = source->scope.voxels_max,
       .orientations = (uint32_t)source->orientations,
       .n_environments = n,
       .block_bodies = MO_ATLAS_BLOCK};
@@ -346,15 +355,15 @@ int mo_atlas_writer_create_with(const struct mo_file_operations *files, const ch
   if (made == NULL)
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
   made->files = files;
-  made->class = source->class;
+  made->scope = source->scope;
   made->fd = -1;
-  mo_atlas_sets_fill(source->class.workspace, &made->sets);
+  mo_atlas_sets_fill(source->scope.workspace, &made->sets);
   made->path = strdup(path);
   if (asprintf(&made->part, "%s.part", path) < 0)
     made->part = NULL;
   error = made->path == NULL || made->part == NULL
               ? MO_ERR_NO_MEMORY
-              : mo_atlas_bodies_create(&source->class, &made->bodies);
+              : mo_atlas_bodies_create(&source->scope, &made->bodies);
   if (error == MO_OK)
     error = make_beginning(made, source, environments, n);
   error =

@@ -47,7 +47,7 @@ static void use(const struct mo_atlas *atlas)
   for (uint64_t i = 0; i < mo_atlas_bodies_of(atlas); i++) {
     uint64_t form[MO_DEFAULT_WORDS], key = 0, position = 0;
     const uint32_t voxels = mo_atlas_form(atlas, i, form);
-    FUZZ_PROMISE(mo_genotype_count(mo_atlas_source_of(atlas)->class.workspace, form) == voxels);
+    FUZZ_PROMISE(mo_genotype_count(mo_atlas_source_of(atlas)->scope.workspace, form) == voxels);
     FUZZ_PROMISE(mo_atlas_key_at(atlas, i, &key) == voxels);
     FUZZ_PROMISE(mo_atlas_find_key(atlas, voxels, key, &position) == MO_OK && position == i);
     (void)mo_atlas_find(atlas, form, &position); /* a key need not be of a body */

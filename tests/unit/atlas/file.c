@@ -16,13 +16,13 @@ static void content(void)
   struct mo_atlas_bodies *bodies = NULL;
   uint64_t form[MO_DEFAULT_WORDS] = {0}, read[MO_DEFAULT_WORDS], moved[MO_DEFAULT_WORDS];
   uint64_t position = 0, first = 0;
-  REQUIRE_OK(mo_atlas_bodies_create(&source.class, &bodies));
+  REQUIRE_OK(mo_atlas_bodies_create(&source.scope, &bodies));
   for (uint64_t i = 0; mo_atlas_bodies_next(bodies, form) == MO_OK; i++) {
     float losses[MO_PAPER_TEST_COUNT];
     double sum = 0;
     REQUIRE_OK(mo_atlas_find(atlas, form, &position));
     CHECK_INT(position, i);
-    CHECK_INT(mo_atlas_form(atlas, i, read), mo_genotype_count(source.class.workspace, form));
+    CHECK_INT(mo_atlas_form(atlas, i, read), mo_genotype_count(source.scope.workspace, form));
     CHECK(SAME(read, form, MO_DEFAULT_WORDS));
     mo_atlas_losses(atlas, i, losses);
     for (uint32_t e = 0; e < MO_PAPER_TEST_COUNT; e++) {
@@ -32,8 +32,8 @@ static void content(void)
     }
     CHECK(mo_atlas_score(atlas, i) == (float)(sum / MO_PAPER_TEST_COUNT));
     for (unsigned k = 0; k < MO_ORIENTATIONS; k++)
-      if (make_image(source.class.workspace, form, k, moved) == MO_OK) {
-        mo_genotype_place(source.class.workspace, moved);
+      if (make_image(source.scope.workspace, form, k, moved) == MO_OK) {
+        mo_genotype_place(source.scope.workspace, moved);
         CHECK_OK(mo_atlas_find(atlas, moved, &position));
         CHECK_INT(position, i);
       }
@@ -59,7 +59,7 @@ static void blocks(void)
   struct mo_atlas_bodies *bodies = NULL;
   uint64_t form[MO_DEFAULT_WORDS] = {0}, position = 0, i = 0;
   size_t wrong = 0;
-  REQUIRE_OK(mo_atlas_bodies_create(&source.class, &bodies));
+  REQUIRE_OK(mo_atlas_bodies_create(&source.scope, &bodies));
   for (; mo_atlas_bodies_next(bodies, form) == MO_OK; i++)
     wrong += mo_atlas_find(atlas, form, &position) != MO_OK || position != i;
   mo_atlas_bodies_free(bodies);
@@ -99,8 +99,8 @@ static void environments(void)
   }
   CHECK(read[2].grid != NULL && read[2].grid->columns == 3);
   const struct mo_atlas_source *found = mo_atlas_source_of(atlas);
-  CHECK(mo_workspace_equal(found->class.workspace, source.class.workspace));
-  CHECK_INT(found->class.voxels_max, source.class.voxels_max);
+  CHECK(mo_workspace_equal(found->scope.workspace, source.scope.workspace));
+  CHECK_INT(found->scope.voxels_max, source.scope.voxels_max);
   CHECK_INT(found->orientations, MO_ATLAS_IMAGES);
   CHECK(SAME(found->controller_sha256, source.controller_sha256, 32));
   CHECK(SAME(found->physics_sha256, source.physics_sha256, 32));

@@ -38,7 +38,7 @@ static inline const char *fixture_folder(void)
 
 static inline struct mo_atlas_source fixture_source(uint32_t voxels_max)
 {
-  struct mo_atlas_source source = {.class = {MO_DEFAULT_WORKSPACE, voxels_max},
+  struct mo_atlas_source source = {.scope = {MO_DEFAULT_WORKSPACE, voxels_max},
                                    .fingerprint = "invented losses"};
   for (int i = 0; i < 32; i++) {
     source.controller_sha256[i] = (uint8_t)(3 * i);
@@ -62,7 +62,7 @@ static inline int fixture_add(struct mo_atlas_writer *writer, const struct mo_at
   struct mo_atlas_bodies *bodies = NULL;
   uint64_t form[MO_DEFAULT_WORDS] = {0};
   double losses[MO_ATLAS_ENVIRONMENTS_MAX];
-  int error = mo_atlas_bodies_create(&source->class, &bodies);
+  int error = mo_atlas_bodies_create(&source->scope, &bodies);
   if (error == MO_OK)
     error = mo_atlas_bodies_seek(bodies, mo_atlas_writer_position(writer));
   while (error == MO_OK && mo_atlas_writer_position(writer) < end &&

@@ -5,10 +5,10 @@
 
 static int stream(void)
 {
-  const struct mo_atlas_class class = {MO_DEFAULT_WORKSPACE, 7};
+  const struct mo_atlas_scope scope = {MO_DEFAULT_WORKSPACE, 7};
   struct mo_atlas_bodies *bodies = NULL;
   uint64_t form[MO_DEFAULT_WORDS], counts[MO_ATLAS_VOXELS_MAX];
-  int error = mo_atlas_bodies_create(&class, &bodies);
+  int error = mo_atlas_bodies_create(&scope, &bodies);
   if (error == MO_OK)
     error = mo_atlas_bodies_next(bodies, form);
   if (error == MO_OK)

@@ -1,4 +1,4 @@
-/* plain.h: all bodies of a class by a plain program, which shares nothing with the library: bodies
+/* plain.h: all bodies of a scope by a plain program, which shares nothing with the library: bodies
  * are lists of cells, made by adding a cell to every smaller body. */
 #ifndef MORPHO_TESTS_ATLAS_PLAIN_H
 #define MORPHO_TESTS_ATLAS_PLAIN_H
@@ -122,12 +122,12 @@ static void plain_add(struct mo_workspace workspace, const struct plain_body *bo
   bodies[(*n)++] = form;
 }
 
-/* Makes all bodies of a class, in order. Returns their number. bodies: (PLAIN_BODIES). */
-static size_t plain_bodies(const struct mo_atlas_class *class, struct plain_body *bodies)
+/* Makes all bodies of a scope, in order. Returns their number. bodies: (PLAIN_BODIES). */
+static size_t plain_bodies(const struct mo_atlas_scope *scope, struct plain_body *bodies)
 {
   size_t n = 1, first = 0;
   bodies[0] = (struct plain_body){.n = 1, .side = {1, 1, 1}};
-  for (uint32_t size = 2; size <= class->voxels_max; size++) {
+  for (uint32_t size = 2; size <= scope->voxels_max; size++) {
     const size_t end = n;
     for (size_t i = first; i < end; i++)
       for (int c = 0; c < bodies[i].n; c++)
@@ -136,7 +136,7 @@ static size_t plain_bodies(const struct mo_atlas_class *class, struct plain_body
           memcpy(cell, bodies[i].cells[c], sizeof(cell));
           cell[step / 2] += step % 2 ? 1 : -1;
           if (!plain_has(&bodies[i], cell))
-            plain_add(class->workspace, &bodies[i], cell, bodies, &n);
+            plain_add(scope->workspace, &bodies[i], cell, bodies, &n);
         }
     first = end;
   }

@@ -5,14 +5,14 @@
 
 #define LEVELS 3
 
-static const struct mo_atlas_class classes[] = {
+static const struct mo_atlas_scope scopes[] = {
     {{6, 6, 4}, 6}, {{3, 2, 2}, 7}, {{2, 4, 1}, 8}, {{6, 6, 4}, 1}};
 
 /* The plain program's atlas: bodies in order, and their scores. */
 static struct plain_body *bodies;
 static float *scores;
 static size_t n;
-static struct mo_atlas_class class;
+static struct mo_atlas_scope scope;
 static const struct mo_atlas *atlas;
 static struct mo_atlas_index *ranking;
 
@@ -24,15 +24,15 @@ static void drop_index(void *index)
 static void make(int c)
 {
   struct mo_atlas_source source = fixture_source(1);
-  class = source.class = classes[c];
+  scope = source.scope = scopes[c];
   atlas = fixture_atlas(&source, LEVELS);
   bodies = make_zeros(PLAIN_BODIES, sizeof(*bodies));
-  n = plain_bodies(&class, bodies);
+  n = plain_bodies(&scope, bodies);
   scores = make_zeros(n, sizeof(*scores));
   for (size_t i = 0; i < n; i++) {
     uint64_t form[MO_DEFAULT_WORDS];
     double sum = 0;
-    plain_bits(class.workspace, &bodies[i], form);
+    plain_bits(scope.workspace, &bodies[i], form);
     for (uint32_t e = 0; e < MO_PAPER_TEST_COUNT; e++)
       sum += fixture_loss(form, e, LEVELS);
     scores[i] = (float)(sum / MO_PAPER_TEST_COUNT);
@@ -71,12 +71,12 @@ static bool is_whole(const struct plain_body *body)
   return n_reached == body->n;
 }
 
-/* Adds the position of a changed body to a list, if it is another body of the class. */
+/* Adds the position of a changed body to a list, if it is another body of the scope. */
 static void list_body(const struct plain_body *changed, uint64_t own, uint64_t *list,
                       size_t *length)
 {
   struct plain_body form = {0};
-  if (changed->n > (int)class.voxels_max || !plain_canonical(class.workspace, changed, &form))
+  if (changed->n > (int)scope.voxels_max || !plain_canonical(scope.workspace, changed, &form))
     return;
   const struct plain_body *found = bsearch(&form, bodies, n, sizeof(form), plain_order);
   if (found == NULL || (uint64_t)(found - bodies) == own)
@@ -152,7 +152,7 @@ static void neighbors(int c)
     }
   CHECK_INT(different, 0);
   CHECK(optima > 0);
-  CHECK(most > 3 || class.voxels_max == 1);
+  CHECK(most > 3 || scope.voxels_max == 1);
 }
 
 static void ascents(int c)
@@ -184,7 +184,7 @@ static void ascents(int c)
     optima += sizes[i] > 0;
   }
   CHECK_INT(mo_atlas_optima(basins), optima);
-  CHECK(longest > 2 || class.voxels_max == 1);
+  CHECK(longest > 2 || scope.voxels_max == 1);
   mo_atlas_basins_free(basins);
   basins = NULL;
   CHECK_INT(mo_atlas_basins_create(atlas, ranking, &(int){1}, &basins), MO_ERR_CANCELLED);
@@ -223,7 +223,7 @@ static void best(int c)
 {
   make(c);
   uint64_t *list = make_zeros(n, sizeof(*list)), *found = make_zeros(n + 1, sizeof(*found));
-  for (uint32_t n_voxels = 0; n_voxels <= class.voxels_max; n_voxels++) {
+  for (uint32_t n_voxels = 0; n_voxels <= scope.voxels_max; n_voxels++) {
     size_t length = 0;
     for (uint64_t i = 0; i < n; i++)
       if (is_of(i, n_voxels))
@@ -237,14 +237,14 @@ static void best(int c)
     for (size_t i = 0; i < length; i++)
       CHECK_INT(mo_atlas_nth(ranking, n_voxels, i), list[i]);
   }
-  CHECK_INT(mo_atlas_best(ranking, class.voxels_max + 1, 5, found), 0);
+  CHECK_INT(mo_atlas_best(ranking, scope.voxels_max + 1, 5, found), 0);
 }
 
 static void histograms(int c)
 {
   static const float edges[] = {-1.0F, 0.0F, 0.1F, 0.3F, 0.3F, 0.35F, 0.4F, 0.65F, INFINITY};
   make(c);
-  for (uint32_t n_voxels = 0; n_voxels <= class.voxels_max; n_voxels++) {
+  for (uint32_t n_voxels = 0; n_voxels <= scope.voxels_max; n_voxels++) {
     uint64_t counts[COUNT(edges) - 1];
     mo_atlas_histogram(ranking, n_voxels, edges, COUNT(counts), counts);
     for (size_t e = 0; e < COUNT(counts); e++) {
@@ -292,7 +292,7 @@ static void special_scores(void)
   snprintf(path, sizeof(path), "%s/a", fixture_folder());
   mo_environment_paper_test(environments);
   REQUIRE_OK(mo_atlas_writer_create(path, &source, environments, 1, &writer, NULL));
-  REQUIRE_OK(mo_atlas_bodies_create(&source.class, &stream));
+  REQUIRE_OK(mo_atlas_bodies_create(&source.scope, &stream));
   for (size_t i = 0; i < COUNT(losses); i++) {
     REQUIRE_OK(mo_atlas_bodies_next(stream, form));
     CHECK_OK(mo_atlas_writer_add(writer, form, &losses[i]));

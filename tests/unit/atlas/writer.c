@@ -148,6 +148,7 @@ static void conflicts(void)
   CHECK(has_bytes(bytes, size));
   (void)create(&message, MO_ERR_CONFLICT);
   CHECK_SAYS(message, "exists already");
+  CHECK(access(part, F_OK) != 0);
 }
 
 static void wrong_sources(void)
@@ -155,7 +156,7 @@ static void wrong_sources(void)
   const struct mo_atlas_source right = source;
   struct mo_message message = {""};
   snprintf(path, sizeof(path), "%s/a", fixture_folder());
-  source.class.voxels_max = 11;
+  source.scope.voxels_max = 11;
   (void)create(&message, MO_ERR_RANGE);
   source = right;
   source.orientations = (enum mo_atlas_orientations)2;
@@ -185,7 +186,7 @@ static void wrong_bodies(void)
   source = fixture_source(2);
   snprintf(path, sizeof(path), "%s/a", fixture_folder());
   struct mo_atlas_writer *writer = create(&message, MO_OK);
-  REQUIRE_OK(mo_atlas_bodies_create(&source.class, &bodies));
+  REQUIRE_OK(mo_atlas_bodies_create(&source.scope, &bodies));
   REQUIRE_OK(mo_atlas_bodies_next(bodies, first));
   REQUIRE_OK(mo_atlas_bodies_next(bodies, second));
   CHECK_INT(mo_atlas_writer_bodies(writer), 3);
@@ -273,31 +274,31 @@ static void designs(void)
 {
   struct mo_atlas_bodies *bodies = NULL;
   uint64_t form[MO_DEFAULT_WORDS] = {0}, image[MO_DEFAULT_WORDS];
-  const struct mo_atlas_class class = {MO_DEFAULT_WORKSPACE, 5};
+  const struct mo_atlas_scope scope = {MO_DEFAULT_WORKSPACE, 5};
   uint32_t of_n[MO_ORIENTATIONS + 1] = {0};
-  REQUIRE_OK(mo_atlas_bodies_create(&class, &bodies));
+  REQUIRE_OK(mo_atlas_bodies_create(&scope, &bodies));
   while (mo_atlas_bodies_next(bodies, form) == MO_OK) {
     struct mo_bits made[MO_ORIENTATIONS];
-    struct mo_form_set *distinct = make_form_set(class.workspace);
-    const uint32_t n = mo_atlas_designs(&class, form, MO_ATLAS_IMAGES, made);
+    struct mo_form_set *distinct = make_form_set(scope.workspace);
+    const uint32_t n = mo_atlas_designs(&scope, form, MO_ATLAS_IMAGES, made);
     for (unsigned k = 0; k < MO_ORIENTATIONS; k++) {
-      CHECK_OK(make_image(class.workspace, form, k, image)); /* all fit */
-      mo_genotype_place(class.workspace, image);
+      CHECK_OK(make_image(scope.workspace, form, k, image)); /* all fit */
+      mo_genotype_place(scope.workspace, image);
       (void)mo_form_set_add(distinct, image);
     }
     CHECK_INT(mo_form_set_count(distinct), n);
     for (uint32_t i = 0; i < n; i++)
       CHECK(mo_form_set_has(distinct, made[i].words));
     of_n[n]++;
-    CHECK_INT(mo_atlas_designs(&class, form, MO_ATLAS_CANONICAL, made), 1);
-    mo_genotype_place(class.workspace, form);
+    CHECK_INT(mo_atlas_designs(&scope, form, MO_ATLAS_CANONICAL, made), 1);
+    mo_genotype_place(scope.workspace, form);
     CHECK(SAME(made[0].words, form, MO_DEFAULT_WORDS));
   }
   mo_atlas_bodies_free(bodies);
   CHECK(of_n[1] > 0 && of_n[2] > 0 && of_n[4] > 0 && of_n[8] > 0);
   CHECK_INT(of_n[1] + of_n[2] + of_n[4] + of_n[8], 124);
   /* A bar of five along x does not fit a workspace of 5 × 1 turned by 90°. */
-  const struct mo_atlas_class narrow = {{5, 1, 1}, 5};
+  const struct mo_atlas_scope narrow = {{5, 1, 1}, 5};
   struct mo_bits made[MO_ORIENTATIONS];
   CHECK_INT(mo_atlas_designs(&narrow, (uint64_t[]){31}, MO_ATLAS_IMAGES, made), 1);
 }
