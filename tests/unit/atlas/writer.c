@@ -247,6 +247,7 @@ static void failing_disk(int error)
 {
   struct mo_file_operations files = mo_system_files;
   size_t size;
+  source = fixture_source(7); /* seven blocks */
   const uint8_t *bytes = whole(&size);
   int result = MO_ERR_IO;
   files.write = write_some;
@@ -265,7 +266,8 @@ static void failing_disk(int error)
     else
       complete(bytes, size);
   }
-  CHECK(result == MO_OK && failing > 25 && has_bytes(bytes, size));
+  CHECK(result == MO_OK && failing > 15 && has_bytes(bytes, size));
+  source = fixture_source(8);
 }
 
 /* ---- designs ---- */
