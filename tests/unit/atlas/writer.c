@@ -234,9 +234,14 @@ static ssize_t write_some(int fd, const void *bytes, size_t size)
   errno = fault;
   return is_faulty ? -1 : n;
 }
+static off_t synced; /* bytes of the file at its last sync */
 static int sync_fails(int fd)
 {
-  return fails() ? -1 : fsync(fd);
+  struct stat status;
+  if (fails() || fstat(fd, &status) != 0)
+    return -1;
+  synced = S_ISREG(status.st_mode) ? status.st_size : synced;
+  return fsync(fd);
 }
 static int rename_fails(const char *from, const char *to)
 {
@@ -256,15 +261,18 @@ static void failing_disk(int error)
   fault = error == MO_ERR_NO_SPACE ? ENOSPC : EIO;
   for (failing = 1; result != MO_OK && failing < 1000; failing++) {
     struct mo_message message = {""};
-    calls = 0;
+    struct stat status;
+    calls = synced = 0;
     result = fixture_write(&files, path, &source, environments, N, LEVELS, &message);
     if (result == MO_OK)
       break;
     CHECK_INT(result, error);
-    if (access(path, F_OK) == 0) /* only the folder's sync failed */
+    if (access(path, F_OK) == 0) { /* only the folder's sync failed */
       CHECK(has_bytes(bytes, size) && unlink(path) == 0);
-    else
+    } else {
+      CHECK(stat(part, &status) == 0 && status.st_size == synced); /* nothing else is trusted */
       complete(bytes, size);
+    }
   }
   CHECK(result == MO_OK && failing > 15 && has_bytes(bytes, size));
   source = fixture_source(8);
