@@ -60,6 +60,7 @@ static void write_all(const struct mo_atlas_source *source, const char *path)
       losses[e] = loss_of(form, e);
     bench_check(mo_atlas_writer_add(writer, form, losses), "body");
   }
+  bench_check(error == MO_ERR_EXHAUSTED ? MO_OK : error, "stream of bodies");
   bench_check(mo_atlas_writer_finish(writer, &message), message.text);
   mo_atlas_writer_free(writer);
   mo_atlas_bodies_free(bodies);
