@@ -252,7 +252,7 @@ static int refuse_complete(const struct mo_atlas_writer *writer, struct mo_messa
 
 static int begin(struct mo_atlas_writer *writer, struct mo_message *message)
 {
-  struct stat status;
+  struct stat status = {.st_size = 0};
   bool is_same = false, is_cut = false;
   int error = refuse_complete(writer, message);
   if (error == MO_OK)
