@@ -88,6 +88,23 @@ struct mo_compute_stats {
   size_t worker_bytes_max; /* largest scratch of one worker */
 };
 
+/* What computing with a controller has taken since the start, for one kind of work. The first
+ * members identify the kind. Work that failed, was cancelled or ran in other processes does not
+ * count, except that a call to a device counts as a whole. */
+struct mo_rate {
+  bool is_gradient; /* rollouts with their gradients */
+  enum mo_back_end back_end;
+  enum mo_precision precision;
+  enum mo_integrator integrator;
+  double dt_s, control_period_s;
+  uint64_t blocks;       /* each has one body, or the robots of a gradient; on devices: calls */
+  uint64_t rollouts;     /* or robots, of gradients */
+  uint64_t steps;        /* sum over rollouts */
+  uint64_t spring_steps; /* sum over rollouts: steps × springs */
+  double busy_s;         /* processor or device seconds */
+};
+enum { MO_RATES_MAX = 64 }; /* further kinds of work replace the one that is oldest in use */
+
 /* Creates the CPU back end. MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED (isa). */
 int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_compute **compute);
 /* Cancels queued and running blocks (their `done` gets MO_ERR_CANCELLED) and joins the workers.
@@ -353,6 +370,8 @@ const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *comp
 
 /* Statistics of the workers. Lock-free reads. */
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats);
+/* Copies the rates; returns their number. */
+uint32_t mo_compute_get_rates(struct mo_compute *compute, struct mo_rate rates[MO_RATES_MAX]);
 /* Describes what the bits of a result depend on besides its inputs (back end, instruction set, code
  * version), such as "cpu avx512 float32 …". */
 const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_precision precision);

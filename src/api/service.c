@@ -143,6 +143,32 @@ void mo_api_get_devices(struct mo_request *request)
   mo_reply_json(request, 200, &text);
 }
 
+void mo_api_get_rates(struct mo_request *request)
+{
+  struct mo_rate rates[MO_RATES_MAX];
+  const uint32_t n = mo_compute_get_rates(mo_api_of(request)->compute, rates);
+  struct mo_text text = {0};
+  mo_text_add(&text, "{\"items\":[");
+  for (const struct mo_rate *rate = rates; rate < rates + n; rate++) {
+    mo_text_object(&text);
+    mo_text_member(&text, "work", rate->is_gradient ? "gradients" : "rollouts");
+    mo_text_member(&text, "device", rate->back_end == MO_ON_CPU ? "cpu" : "cuda");
+    mo_text_member(&text, "precision", rate->precision == MO_FLOAT32 ? "float32" : "float64");
+    mo_text_member(&text, "integrator",
+                   rate->integrator == MO_INTEGRATOR_SPLIT ? "split" : "paper");
+    mo_text_member_number(&text, "dt_s", rate->dt_s);
+    mo_text_member_number(&text, "control_period_s", rate->control_period_s);
+    mo_text_member_count(&text, "blocks", rate->blocks);
+    mo_text_member_count(&text, "rollouts", rate->rollouts);
+    mo_text_member_count(&text, "steps", rate->steps);
+    mo_text_member_number(&text, "springs", (double)rate->spring_steps / (double)rate->steps);
+    mo_text_member_number(&text, "seconds", rate->busy_s);
+    mo_text_add(&text, "}");
+  }
+  mo_text_add(&text, "]}");
+  mo_reply_json(request, 200, &text);
+}
+
 /* ---- load: a ring of samples that covers an hour and is lost in a restart ---- */
 
 /* Adds a sample when one is due. Runs on the clock thread. */

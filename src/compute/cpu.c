@@ -17,6 +17,7 @@
  * return the queued blocks as cancelled, and exit. Every block's `done` is called exactly once.
  * Counters are atomics: reading them takes no lock. */
 #include "compute/devices.h"
+#include "compute/rates.h"
 
 #include "base/clock.h"
 #include "base/processors.h"
@@ -67,6 +68,7 @@ struct mo_compute {
       blocks_preempted, busy_ns;
   atomic_uint_fast64_t gradient_robots_done, gradient_robots_diverged, gradient_robots_zeroed;
   atomic_size_t worker_bytes_max;
+  struct mo_rates rates;
   char fingerprint[2][64], gradient_fingerprint[64];
 };
 
@@ -94,6 +96,7 @@ struct run {
   bool urgent;
   uint64_t read_ns, overtaken_ns; /* at the last reading */
   uint64_t total_ns;
+  uint64_t springs; /* summed over the robots of a gradient */
 };
 
 static void run_block(struct worker *worker, struct mo_block *block, int depth,
@@ -179,6 +182,7 @@ static int simulate(struct run *run)
   }
   if (status != MO_OK || body == NULL)
     return status;
+  run->springs = body->n_springs;
   const struct mo_pause_point pause = {body->n_springs > PAUSE_SPRINGS ? 1 : PAUSE_STEPS,
                                        at_pause_point, run};
   status = mo_rollout_block_window(run->worker->memory[run->depth], pack, body, block->environments,
@@ -198,11 +202,10 @@ static int differentiate(struct run *run)
     if (status != MO_OK)
       return status;
   }
-  uint64_t springs = 0;
   for (uint32_t i = 0; i < task->n; i++)
-    springs += task->robots[i].body->n_springs;
-  const struct mo_pause_point pause = {springs > PAUSE_GRADIENT_SPRINGS ? 1 : PAUSE_GRADIENT_STEPS,
-                                       at_pause_point, run};
+    run->springs += task->robots[i].body->n_springs;
+  const struct mo_pause_point pause = {
+      run->springs > PAUSE_GRADIENT_SPRINGS ? 1 : PAUSE_GRADIENT_STEPS, at_pause_point, run};
   return mo_gradient_block(worker->gradient, task->pack, task->robots, task->n,
                            &task->block.physics, &task->options, &pause, task->outcomes,
                            task->d_parameters, &task->counts);
@@ -235,6 +238,25 @@ static void count(struct worker *worker, const struct mo_block *block)
   atomic_fetch_add(&compute->rollouts_diverged, diverged);
 }
 
+/* Adds a block to the rates. Passive bodies, without a controller, would distort them. */
+static void rate(const struct run *run)
+{
+  const struct mo_block *block = run->block;
+  const struct mo_gradient_task *task = block->gradient;
+  const struct mo_scheme *scheme = &block->physics.scheme;
+  if (block->status != MO_OK ||
+      (task == NULL && mo_compute_controller_weights(block->controller) == NULL))
+    return;
+  struct mo_rate work =
+      mo_rate_of(task != NULL, MO_ON_CPU, task != NULL ? MO_FLOAT32 : block->precision, scheme);
+  work.blocks = 1;
+  work.rollouts = task != NULL ? task->n : block->n_environments;
+  work.steps = work.rollouts * scheme->n_steps;
+  work.spring_steps = run->springs * scheme->n_steps * (task != NULL ? 1 : block->n_environments);
+  work.busy_s = 1e-9 * (double)run->total_ns;
+  mo_rates_add(run->worker->compute->core.rates, &work);
+}
+
 /* Runs a block and charges its share. charge: for a batch block, else NULL; only a batch block's
  * time affects when its share is next. */
 static void run_block(struct worker *worker, struct mo_block *block, int depth,
@@ -256,6 +278,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
   block->computed_on = MO_ON_CPU;
   count(worker, block);
   read_meter(&run);
+  rate(&run);
   if (charge != NULL) {
     MO_GUARD(&compute->fair.mutex);
     mo_fair_correct(&compute->fair, charge, 1e-9 * (double)run.total_ns, block->status == MO_OK);
@@ -388,6 +411,8 @@ int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_comp
              precision == MO_FLOAT32 ? "float32" : "float64", MO_KERNEL_VERSION);
   snprintf(compute->gradient_fingerprint, sizeof(compute->gradient_fingerprint),
            "cpu %s float32 gradient-%d", mo_isa_name(config->isa), MO_GRADIENT_VERSION);
+  pthread_mutex_init(&compute->rates.mutex, NULL);
+  compute->core.rates = &compute->rates;
   pthread_cond_init(&compute->wake, NULL);
   mo_fair_init(&compute->fair, wanted);
   compute->core.fair = &compute->fair;
@@ -422,6 +447,7 @@ void mo_compute_free(struct mo_compute *compute)
     share->compute = NULL; /* it may be freed later */
   pthread_cond_destroy(&compute->wake);
   pthread_mutex_destroy(&compute->fair.mutex);
+  pthread_mutex_destroy(&compute->rates.mutex);
   free(compute->workers);
   free(compute);
 }

@@ -17,6 +17,7 @@
  * on a block's neighbors. After a failure of the device its threads exit; everything without a
  * result is requeued. */
 #include "compute/devices.h"
+#include "compute/rates.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -449,6 +450,27 @@ static uint64_t charge_ns(struct mo_unit *unit, uint64_t start_ns)
   return now_ns - from_ns;
 }
 
+/* Adds a call to the rates. */
+static void rate(const struct mo_devices *devices, const struct mo_chunk *chunk, uint64_t took_ns)
+{
+  const struct mo_device_task *task = chunk->task;
+  const struct mo_block *first = chunk->items[0].block;
+  if (task == NULL &&
+      (chunk->n_active == 0 || mo_compute_controller_weights(first->controller) == NULL))
+    return;
+  const struct mo_robot *robots = task != NULL ? task->batch->robots + task->first : chunk->robots;
+  const struct mo_scheme *scheme =
+      task != NULL ? &task->batch->physics.scheme : &first->physics.scheme;
+  struct mo_rate work = mo_rate_of(task != NULL, MO_ON_DEVICE, MO_FLOAT32, scheme);
+  work.blocks = 1;
+  work.rollouts = task != NULL ? task->n : chunk->n_rows;
+  work.steps = work.rollouts * scheme->n_steps;
+  for (uint64_t i = 0; i < work.rollouts; i++)
+    work.spring_steps += (uint64_t)robots[i].body->n_springs * scheme->n_steps;
+  work.busy_s = 1e-9 * (double)took_ns;
+  mo_rates_add(mo_core(devices->compute)->rates, &work);
+}
+
 /* Under the mutex: runs the caller's chunk. */
 static void run_chunk(struct mo_caller *caller)
 {
@@ -469,6 +491,8 @@ static void run_chunk(struct mo_caller *caller)
   mo_unit_account(unit);
   caller->state = MO_CALLER_DELIVERS;
   count(unit, chunk);
+  if (status == MO_OK)
+    rate(devices, chunk, took_ns);
   mo_fair_correct(&devices->fair, &chunk->charge, 1e-9 * (double)took_ns, status == MO_OK);
   atomic_fetch_add(&chunk->charge.share->busy_ns, took_ns);
   if (status == MO_ERR_DEVICE)

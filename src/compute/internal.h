@@ -23,12 +23,14 @@ int mo_compute_controller_pack(struct mo_compute_controller *controller,
 struct mo_devices;
 struct mo_fair;
 struct mo_offer;
+struct mo_rates;
 /* The first member of a back end, which files called by cpu.c can read without calling cpu.c. */
 struct mo_compute_core {
   enum mo_isa isa;
   uint32_t n_workers;
   struct mo_fair *fair;       /* the queue of the workers' batch blocks */
   struct mo_devices *devices; /* NULL: none */
+  struct mo_rates *rates;
   struct {
     atomic_uint blocks[2]; /* blocks that takers can hold, by enum mo_back_end */
     atomic_bool leave;     /* leave suitable blocks to takers */

@@ -18,7 +18,7 @@ SECOND = {"cells": [[0, 0, 0], [1, 0, 0], [1, 1, 0]]}
 LIVE = "const { player } = document.querySelector('.stage'); const { live } = player;"
 
 # A drive with a clock and a service of the test's own. The service takes `replyMs`; each window has
-# as its frames the number of the window and its light.
+# as its frames its number and its light; `sizes` has the windows of each request.
 FAKE = """
 const done = arguments[arguments.length - 1];
 const folder = document.querySelector('script[type=module]').src.replace(/app.js$/, '');
@@ -27,13 +27,16 @@ import(folder + 'stage/drive.js').then(async ({ Drive }) => {
   const waiting = [];
   const asked = [];
   const shown = [];
+  const sizes = [];
   let replyMs = 20;
-  const roll = ({ light, states, signal }) => new Promise((resolve, reject) => {
+  const roll = ({ light, states, n, signal }) => new Promise((resolve, reject) => {
     asked.push([light[0], states ? states[0].window : -1]);
     const window = states ? states[0].window + 1 : 0;
+    sizes.push(n);
     waiting.push({ atMs: ms + replyMs, act: () => {
       if (signal.aborted) reject(new Error('aborted'));
-      else resolve({ parts: [{ track: [window, light[0]] }], states: [{ window }] });
+      else resolve({ windows: Array.from({ length: n }, (_, k) =>
+        [{ track: [window + k, light[0]] }]), states: [{ window: window + n - 1 }] });
     } });
   });
   const sink = {
@@ -156,6 +159,35 @@ def test_a_late_service_holds_the_frame_and_says_so(browser):
       done([...held, drive.isLate, shown]);
     """)
     assert held > 0.1 and late and time == pytest.approx(end, abs=1e-9) and not after
+    assert [window for window, _ in shown] == list(range(len(shown)))
+
+
+def test_slow_replies_are_for_more_windows(browser):
+    """On a slow machine the motion has no gaps once requests are long enough, also while the light
+    moves; when replies are quick again, so is the turn."""
+    sizes, shown, gaps, quick, turn = fake(browser, """
+      await run(1000);
+      replyMs = 350;
+      await run(4000);
+      const before = drive.heldS;
+      for (let i = 0; i < 100; i++) {
+        if (i % 10 === 0) drive.setLight([2 + i / 100, 1]);
+        await run(ms + 30);
+      }
+      const gaps = drive.heldS - before;
+      const slow = sizes.at(-1);
+      replyMs = 20;
+      await run(ms + 4000);
+      const quick = drive.perRequest;
+      drive.setLight([4, 1]);
+      const fromS = drive.timeS;
+      await run(ms + 1500);
+      const turn = shown.findIndex(([, x]) => x === 4) * drive.windowS - fromS;
+      done([[slow, Math.max(...sizes)], shown, gaps, quick, turn]);
+    """)
+    assert 2 < sizes[0] <= 4 and sizes[1] <= 4 and quick == 1
+    assert gaps == 0
+    assert 0 < turn <= 0.24
     assert [window for window, _ in shown] == list(range(len(shown)))
 
 
@@ -323,6 +355,42 @@ def test_a_drive_is_saved(service, browser, tmp_path):
     browser.until_walking()
     shown = browser.run("return document.querySelector('.stage').player.stage.robots[0].world")
     assert shown["points"] == points
+    assert browser.faults() == []
+
+
+def test_a_saved_drive_of_two_controllers_has_both(service, browser):
+    """In the recording, the commands and the link."""
+    robot = service.evaluate({"designs": [DESIGN]}).json()["results"][0]["robot"]
+    start(browser, f"stage?designs={robot}&controller=default,tuned")
+    browser.click("Save")
+    browser.until("document.querySelector('dialog[open]')")
+    browser.run("""
+        window.saved = [];
+        const make = URL.createObjectURL;
+        URL.createObjectURL = (blob) => { saved.push(blob); return make(blob); };
+        document.querySelector('dialog details').open = true;
+    """)
+    browser.click("Recording (scene)")
+    browser.until("saved.length")
+    data = bytes(browser.driver.execute_async_script(
+        "saved[0].arrayBuffer().then((all) => arguments[0]([...new Uint8Array(all)]))"))
+    length, = struct.unpack_from("<I", data)
+    header = json.loads(data[4:4 + length])
+    files = [service.get(f"/v1/controllers/{name}")["sha256"] for name in ("default", "tuned")]
+    assert header["controller"] is None and header["precision"] == "float32"
+    assert [rollout["controller"] for rollout in header["rollouts"]] == files
+    titles = browser.texts("dialog section h3")
+    assert titles == ["JSON"] + [f"{tool}, {name}" for name in ("default", "tuned")
+                                 for tool in ("curl", "morphoctl", "Python")]
+    bodies = [json.loads(words[words.index("-d") + 1]) for words in
+              (shlex.split(text) for text in browser.texts("dialog pre") if "curl -s" in text)]
+    assert [body.get("controller") for body in bodies] == [None, "tuned"]
+    assert [body["designs"] for body in bodies] == [[{"id": robot}]] * 2
+    link = browser.run("return document.querySelector('dialog a').getAttribute('href')")
+    browser.open(link.split("#/")[1])
+    browser.until_walking()
+    assert browser.run("return document.querySelector('.stage').player.stage.robots"
+                       ".map(({ controller }) => controller)") == ["default", "tuned"]
     assert browser.faults() == []
 
 

@@ -14,7 +14,7 @@ const aligned = (n) => Math.ceil(n / 8) * 8;
 
 /**
  * @param {import('../stage/stage.js').Robot[]} robots in one world
- * @param {Object} inputs controller, physics and so on, as in the header of a scene
+ * @param {any[]} inputs controller, physics and so on of each robot, as in the header of a scene
  */
 export function toScene(robots, inputs) {
   const arrays = [];
@@ -34,8 +34,12 @@ export function toScene(robots, inputs) {
     ? { terrain: { kind: columns ? 'grid' : 'profile',
       heights_m: columns ? rows : [...heights], spacing_m: spacing } }
     : { terrain_heights_m: put(heights, [8, 8]) };
+  // Inputs that differ are with the rollouts, and null in the header.
+  const own = Object.keys(inputs[0]).filter((name) => inputs.some((one) =>
+    JSON.stringify(one[name]) !== JSON.stringify(inputs[0][name])));
+  const ownOf = (of) => Object.fromEntries(own.map((name) => [name, of?.[name] ?? null]));
   const header = {
-    ...inputs, warnings: [], frame_s: frameS, driven: true, environments: [ground],
+    ...inputs[0], ...ownOf(), warnings: [], frame_s: frameS, driven: true, environments: [ground],
     designs: robots.map(({ id, robot, genotype, body }) => ({
       id, robot, orientation: null, genotype, repaired: 0, score: null,
       masses: put(body.masses, [body.nMasses, 3]),
@@ -46,7 +50,7 @@ export function toScene(robots, inputs) {
       faces: put(facesOf(body), [body.nFaces, 5]),
     })),
     rollouts: robots.map(({ body, frames, track, lights, actuation, contacts }, design) => ({
-      design, environment: 0, loss: null, diverged_step: 0,
+      design, environment: 0, loss: null, diverged_step: 0, ...ownOf(inputs[design]),
       masses_m: put(track, [frames, body.nMasses, 3]), lights_m: put(lights, [frames, 3]),
       ...(actuation ? { actuation: put(actuation, [frames, body.nSprings]) } : {}),
       ...(contacts ? { contacts: put(contacts, [frames, body.nMasses]) } : {}),

@@ -12,9 +12,12 @@ export const CAMPAIGN_PRESETS = {
 /** The presets of training runs: robots of a step. */
 export const TRAINING_PRESETS = { workstation: 256, phototaxis: 8192, paper: 8192 };
 export const TRAINING_STEPS = { pretrain: 1400, finetune: 60 };
+export const VALIDATION = { every_steps: 50, designs: 64, environments: 8 };
+/** The steps on parents, and those on children, of a campaign's generation. */
+export const CAMPAIGN_STEPS = { 'few-shot': 30, simultaneous: 1 };
 
-/** The control period of random weights, in seconds. */
-const PERIOD_S = 0.016;
+/** @param {boolean} isPaper @returns {number} the control period of random weights, in seconds */
+export const randomPeriodS = (isPaper) => (isPaper ? 0 : 0.016);
 const PHYSICS = {
   dt_s: 0.002, n_steps: 2000, stiffness_n_per_m: 15000, mass_kg: 1, drag_per_s: 15,
   gravity_m_per_s2: 9.8, actuation: 0.2, friction: 0.9, friction_cap: 0.95, drop_height_m: 0,
@@ -22,7 +25,7 @@ const PHYSICS = {
 };
 
 /** @param {boolean} isPaper @param {number} periodS of the controller */
-const physicsOf = (isPaper, periodS) => ({
+export const physicsOf = (isPaper, periodS) => ({
   ...PHYSICS, control_period_s: periodS,
   ...(isPaper ? { dt_s: 0.004, n_steps: 1000, integrator: 'paper' } : {}),
 });
@@ -67,8 +70,8 @@ export function usualTraining(job, preset, periodS) {
   const settings = {
     steps: TRAINING_STEPS[job.trainingKind], batch: TRAINING_PRESETS[preset], seed: 1, sensor,
     environments: null, tasks: null, ...usual,
-    physics: physicsOf(isPaper, job.parent ? periodS : isPaper ? 0 : PERIOD_S),
-    validation: { every_steps: 50, designs: 64, environments: 8 },
+    physics: physicsOf(isPaper, job.parent ? periodS : randomPeriodS(isPaper)),
+    validation: VALIDATION,
     checkpoint: { every_steps: 0, every_s: 60, keep: 3 },
   };
   if (isPaper) settings.adjoint_bound = 0;
@@ -98,7 +101,7 @@ export function usualCampaign(job, preset, periodS, places) {
   const isPaper = preset === 'paper';
   const { population, ...generations } = CAMPAIGN_PRESETS[preset];
   const { workspace, selection, population: own, learning } = job.settings;
-  const steps = mode === 'simultaneous' ? 1 : 30;
+  const steps = CAMPAIGN_STEPS[mode] ?? 30;
   return {
     population, generations: generations[mode] ?? job.settings.generations, seed: 1,
     environments: 'paper-test', initial: 'random', workspace: [6, 6, 4],
@@ -107,7 +110,7 @@ export function usualCampaign(job, preset, periodS, places) {
     racing: mode === 'study' || job.settings.select_by || selection.kind !== 'truncation'
       ? job.settings.racing : 'lossless',
     exclude_pretraining: mode !== 'study', collapse_share: 0.5, measures: [], select_by: null,
-    physics: physicsOf(isPaper, job.controller ? periodS : isPaper ? 0 : PERIOD_S),
+    physics: physicsOf(isPaper, job.controller ? periodS : randomPeriodS(isPaper)),
     learning: learning && {
       parent_steps: steps, child_steps: steps, batch: own,
       ...learningOf(mode === 'simultaneous' ? 'paper-simultaneous' : 'paper-finetune'),

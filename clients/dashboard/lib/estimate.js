@@ -1,33 +1,149 @@
-/** How long a request takes here: measured with a few rollouts. */
+/** What a request will take here, from the time that earlier rollouts took (GET /v1/rates). */
 
-import { post } from './api.js';
-import { count, duration } from './format.js';
+import { getJson, post } from './api.js';
+import { CAMPAIGN_STEPS, VALIDATION, physicsOf } from './defaults.js';
+import { count, countOf, duration } from './format.js';
 
-/** The number of default environments, and of bodies that are simulated for an estimate. */
-const [ENVIRONMENTS, MEASURED] = [10, 3];
+/** Environments, unless a request says otherwise; bodies of a measurement, and their steps. */
+const [ENVIRONMENTS, MEASURED, MEASURED_STEPS] = [10, 3, 400];
+/** The mean number of springs of random bodies; their survivors have about twice as many. */
+const [RANDOM, EVOLVED] = [250, 500];
+/** A gradient takes about as long as this many rollouts. */
+const GRADIENT = 6;
 
-/** Measures the seconds that a thread needs for a rollout, with a few random bodies. */
-export async function measureRollout() {
-  const { items } = await post('v1/bodies/random', { count: MEASURED });
-  const begin = performance.now();
-  for (const { genotype } of items) { // one thread computes a body in all its environments
-    await post('v1/rollouts',
-      { designs: [{ voxels: genotype }], environments: 'paper-test', record: [] });
+/** Returns roughly the springs of a body, from its voxels. */
+function springsOf({ voxels, id }) {
+  const [digits] = /^([01]{144}|[0-9a-f]{36})/.exec(voxels ?? id) ?? [''];
+  const bits = BigInt(`${digits.length === 144 ? '0b' : '0x'}${digits || '0'}`).toString(2);
+  return 24 * bits.replaceAll('0', '').length ** 0.85 || RANDOM;
+}
+
+/** The time of rollouts is proportional to this; a processor takes two more for each block. */
+const sizeOf = ({ rollouts, blocks, springs, steps }, device) =>
+  (rollouts + (device === 'cpu' ? 2 * blocks : 0)) * steps * (260 + springs);
+
+const isSame = (a, b) => Math.abs(a - b) < 1e-9;
+const isLike = (row, { physics, precision, device }, work) => row.work === work &&
+  row.device === device && row.precision === precision &&
+  row.integrator === physics.integrator && isSame(row.dt_s, physics.dt_s) &&
+  isSame(row.control_period_s, physics.control_period_s);
+
+/**
+ * What a request computes.
+ * @typedef {Object} Plan
+ * @property {any} physics
+ * @property {string} precision
+ * @property {string} device cpu or cuda
+ * @property {{rollouts: number, blocks: number, springs: number}} scoring
+ * @property {{rollouts: number, blocks: number, springs: number}|null} learning robots
+ * @property {boolean} isMost some rollouts may turn out not to be needed
+ * @property {boolean} isSure the bodies are known
+ */
+
+/**
+ * Returns what a request computes; null if it lacks designs.
+ * @param {string} kind
+ * @param {any} request with all numbers, also those that a preset stands for
+ * @param {{periodS: number, environments?: number, isUnknown: boolean}} of periodS: of the
+ *   controller; isUnknown: the bodies to learn on are
+ * @returns {Plan|null}
+ */
+export function planOf(kind, request, { periodS, environments = ENVIRONMENTS, isUnknown }) {
+  const own = typeof request.physics === 'object' ? request.physics : {};
+  const isPaper = request.preset === 'paper' || request.physics === 'paper';
+  const physics = { ...physicsOf(isPaper, periodS), ...own };
+  const listed = request.designs ?? request.initial?.designs ?? [];
+  const springs = listed.length
+    ? listed.reduce((sum, one) => sum + springsOf(one), 0) / listed.length : RANDOM;
+  const plan = { physics, precision: request.precision ?? 'float32', device: 'cpu', learning: null,
+    isMost: false, isSure: listed.length > 0 };
+  if (kind === 'evaluation') {
+    const designs = listed.length || (request.random?.count ?? 0);
+    const times = request.tolerance || request.error ? 5 : 1;
+    return designs ? { ...plan, isMost: Boolean(request.best || request.tolerance),
+      isSure: plan.isSure && !request.tolerance,
+      scoring: { rollouts: designs * environments * times, blocks: designs * times, springs } }
+      : null;
   }
-  return (performance.now() - begin) / 1000 / (MEASURED * ENVIRONMENTS);
+  if (kind === 'training') {
+    /** @type {typeof VALIDATION} */
+    const validation = { ...VALIDATION, ...request.validation };
+    const { every_steps: every, designs, environments: worlds } = validation;
+    const times = every ? Math.floor(request.steps / every) + 1 : 0;
+    return { ...plan, isSure: !isUnknown,
+      scoring: { rollouts: times * designs * worlds, blocks: times * designs, springs: RANDOM },
+      learning: { rollouts: request.steps * request.batch,
+        blocks: request.steps * Math.ceil(request.batch / 32), springs } };
+  }
+  const { population, generations, replicates = 1 } = request;
+  /** @type {any} */
+  const steps = CAMPAIGN_STEPS[request.mode] &&
+    { parent_steps: CAMPAIGN_STEPS[request.mode], child_steps: CAMPAIGN_STEPS[request.mode],
+      batch: population, ...request.learning };
+  const designs = replicates * population * (1 + generations * (steps ? 2 : 1));
+  const learned = steps ? replicates * steps.batch *
+    (steps.child_steps + generations * (steps.parent_steps + steps.child_steps)) : 0;
+  const size = generations > 3 ? EVOLVED : springs;
+  return { ...plan, isMost: true, isSure: false,
+    scoring: { rollouts: designs * environments, blocks: designs, springs: size },
+    learning: steps ? { rollouts: learned, blocks: Math.ceil(learned / 32), springs: size } : null };
 }
 
 /**
- * Describes how many rollouts a request needs, and how long they take. Training runs and campaigns
- * that learn have no estimate, because they mostly compute gradients.
- * @param {number} designs to be scored in default environments and physics; 0 if unknown
- * @param {number|null} seconds that a thread needs for a rollout; null if unknown
- * @param {number} threads
- * @param {number} [environments] that each design is scored in
+ * Measures a kind of work with a few random bodies, if the service has not yet computed any.
+ * @param {Plan} plan
+ * @param {string|undefined} controller with the control period of the plan
+ * @returns {Promise<any[]>} the rates
  */
-export function estimateOf(designs, seconds, threads, environments = ENVIRONMENTS) {
-  if (!designs) return '';
-  const n = designs * environments;
-  return `Up to ${count(n)} rollouts` + (seconds === null ? '.'
-    : `: about ${duration(n * seconds / threads)} on this machine, if it does nothing else.`);
+export async function measured(plan, controller) {
+  const { items } = await getJson('v1/rates');
+  const { dt_s, integrator, control_period_s } = plan.physics;
+  if (plan.device !== 'cpu' || items.some((row) => isLike(row, plan, 'rollouts'))) return items;
+  const { items: bodies } = await post('v1/bodies/random', { count: MEASURED });
+  for (const { genotype } of bodies) { // one thread computes a body in all its environments
+    await post('v1/rollouts', { designs: [{ voxels: genotype }], environments: 'paper-test',
+      record: [], precision: plan.precision, controller,
+      physics: { dt_s, integrator, control_period_s, n_steps: MEASURED_STEPS } });
+  }
+  return (await getJson('v1/rates')).items;
+}
+
+/** Returns the seconds of a part of a plan, and what they are based on; null if that is unknown. */
+function secondsOf(part, plan, work, rates) {
+  const row = rates.find((one) => isLike(one, plan, work));
+  if (!row) return null;
+  const size = sizeOf({ ...row, steps: row.steps / row.rollouts }, plan.device);
+  return { n: row.rollouts, seconds: row.seconds / size *
+    sizeOf({ ...part, steps: plan.physics.n_steps }, plan.device) };
+}
+
+/**
+ * Describes what a request takes.
+ * @param {Plan|null} plan
+ * @param {any[]|null} rates null: unknown
+ * @param {number} n threads, or devices
+ */
+export function estimateOf(plan, rates, n) {
+  if (!plan) return '';
+  const { scoring, learning, device } = plan;
+  const parts = [learning && `${count(learning.rollouts)} gradients`,
+    scoring.rollouts && `${count(scoring.rollouts)} rollouts`].filter(Boolean);
+  const what = `${plan.isMost ? 'Up to ' : ''}${parts.join(' and ')}`;
+  if (!rates) return `${what}.`;
+  const scored = secondsOf(scoring, plan, 'rollouts', rates);
+  const own = learning && secondsOf(learning, plan, 'gradients', rates);
+  const learned = own ?? (learning && scored &&
+    secondsOf({ ...learning, rollouts: GRADIENT * learning.rollouts }, plan, 'rollouts', rates));
+  if ((!scored && scoring.rollouts) || (learning && !learned)) {
+    return `${what}. Nothing like these was measured here yet, so the time is unknown.`;
+  }
+  const seconds = (scored?.seconds ?? 0) + (learned?.seconds ?? 0);
+  const unit = device === 'cpu' ? 'core-second' : 'device-second';
+  const used = Math.min(n, scoring.blocks + (learning?.blocks ?? 0));
+  const basis = [own && countOf(own.n, 'gradient'), scored && countOf(scored.n, 'rollout'),
+  ].filter(Boolean).join(' and ');
+  return `${what}: ${plan.isSure && (own || !learning) ? 'about' : 'roughly'} ` +
+    `${countOf(Number(seconds.toPrecision(2)), unit)}, ${duration(seconds / used)} here if nothing ` +
+    `else runs. Based on ${basis} like these since the service started` +
+    `${learning && !own ? '; no gradients yet' : ''}.`;
 }

@@ -138,36 +138,38 @@ export function windowOf({ dt_s: stepS = STEP_S } = {}) {
 }
 
 /**
- * Simulates one window of a drive, from the states at the end of the window before, if any. Returns
- * per rollout the frames without the one that it starts from and the state at its end, and the
- * inputs as in the header of a scene.
+ * Simulates n windows of a drive, from the states at the end of the window before, if any. Returns
+ * per rollout the frames of each window, without the one that it starts from, and the state at the
+ * end, and the inputs as in the header of a scene.
  * @param {Object[]} designs
  * @param {Object} environment
  * @param {{controller?: string, physics?: Object, precision?: string, signal?: AbortSignal,
- *   states: ?Object[]}} options
+ *   states: ?Object[], n: number}} options
  */
 export async function rollWindow(designs, environment, options) {
-  const { controller = DEFAULT_CONTROLLER, physics, precision, signal, states } = options;
+  const { controller = DEFAULT_CONTROLLER, physics, precision, signal, states, n } = options;
   const { stride, perWindow } = windowOf(physics);
   const response = await request('v1/rollouts', {
     method: 'POST', signal, headers: { Accept: 'application/vnd.morphod.scene' },
     body: {
       designs, environments: [environment], controller, precision, record: CHANNELS,
-      physics: { ...physics, n_steps: stride * perWindow }, record_stride: stride,
+      physics: { ...physics, n_steps: stride * perWindow * n }, record_stride: stride,
       final_states: true, ...(states ? { states } : {}),
     },
   });
   const { header, array } = decodeScene(await response.arrayBuffer());
-  const rest = (described) => {
+  const window = (described, k) => {
     const all = array(described);
-    return all.subarray(all.length / described.shape[0]);
+    const perFrame = all.length / described.shape[0];
+    const from = (1 + k * perWindow) * perFrame;
+    return all.subarray(from, from + perWindow * perFrame);
   };
   const rows = header.rollouts.map((rollout) => ({
     state: rollout.diverged_step ? null : rollout.state ?? null,
-    part: {
-      track: rest(rollout.masses_m), actuation: rest(rollout.actuation),
-      contacts: rest(rollout.contacts),
-    },
+    parts: Array.from({ length: n }, (_, k) => ({
+      track: window(rollout.masses_m, k), actuation: window(rollout.actuation, k),
+      contacts: window(rollout.contacts, k),
+    })),
   }));
   const { controller: sha256, physics_sha256, physics: all, precision: numbers } = header;
   return { rows, inputs: { controller: sha256, physics_sha256, physics: all, precision: numbers } };

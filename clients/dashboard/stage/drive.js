@@ -3,6 +3,7 @@
  *
  * The service computes short windows, each from the state at the end of the window before, ahead of
  * the time that is shown. If the light moves, the windows that do not play yet are computed again.
+ * While replies are slow, a request is for several windows, and has a state only at its end.
  * Nothing is extrapolated: if the service is late, the last frame stays.
  */
 
@@ -15,6 +16,12 @@ const BEGIN_S = 0.5;
 const MOVING_MS = 120;
 /** While the light moves, the same window is computed again at most this often. */
 const AGAIN_MS = 60;
+/** A request is for at most this many windows. */
+const WINDOWS_MAX = 4;
+/** Windows of a request last this many times as long as its reply takes. */
+const SPARE = 1.5;
+/** A reply that takes longer does not count as longer. */
+const REPLY_MAX_MS = 1000;
 /** A reply may take this much longer than usual. */
 const MARGIN_MS = 15;
 /** Pauses before another attempt, if the service cannot be reached or is busy. */
@@ -30,18 +37,19 @@ const RETRY_MS = 500;
  * @property {number[]} light
  * @property {number} movedMs when the light moved there
  * @property {(Part|null)[]} parts one per robot; null after a divergence: it stays where it is
- * @property {(Object|null)[]} states at the end of the window; null after a divergence
+ * @property {(Object|null)[]|null} states at the end of the window; null after a divergence; null
+ *   for all within a request
  */
 
 export class Drive {
   /**
    * @param {{
-   *   roll: function({light: number[], states: ?(Object|null)[], signal: AbortSignal}):
-   *     Promise<{parts: (Part|null)[], states: (Object|null)[]}>,
+   *   roll: function({light: number[], states: ?(Object|null)[], n: number, signal: AbortSignal}):
+   *     Promise<{windows: (Part|null)[][], states: (Object|null)[]}>,
    *   sink: {append: function(Window): void, cutAt: function(number): void},
    *   light: number[], windowS: number, keepS: number, onfault: function(Error): void,
    *   now?: function(): number }} options
-   *   roll computes a window; sink.append gets the windows in order, and sink.cutAt removes those
+   *   roll computes n windows; sink.append gets the windows in order, and sink.cutAt removes those
    *   from a number on; keepS: how much of what was driven is kept
    */
   constructor({ roll, sink, light, windowS, keepS, onfault, now = () => performance.now() }) {
@@ -80,6 +88,12 @@ export class Drive {
   get current() {
     return Math.max(this.first, Math.min(Math.floor(this.timeS / this.windowS + 1e-9),
       this.end - 1));
+  }
+
+  /** How many windows a request is for. */
+  get perRequest() {
+    const needed = Math.ceil(SPARE * this.replyMs * this.speed / (1000 * this.windowS));
+    return Math.max(1, Math.min(WINDOWS_MAX, needed));
   }
 
   /** Moves the light: robots turn at the next window that can still be computed in time. */
@@ -175,13 +189,14 @@ export class Drive {
     this.#request(at, at < this.end || !isNew);
   }
 
-  /** The first window that can still be replaced before it plays. */
+  /** The first window that can still be replaced before it plays, from a state that is known. */
   #branch() {
-    const next = this.current + 1;
-    if (!this.playing) return Math.min(next, this.end);
-    const leftMs = ((next * this.windowS - this.timeS) / this.speed) * 1000 -
-      (this.now() - (this.beforeMs ?? this.now()));
-    return Math.min(leftMs > this.replyMs + MARGIN_MS ? next : next + 1, this.end);
+    const passedMs = this.now() - (this.beforeMs ?? this.now());
+    const readyS = this.timeS + (passedMs + this.replyMs + MARGIN_MS) / 1000 * this.speed;
+    let at = this.current + 1;
+    if (this.playing) at = Math.max(at, Math.ceil(readyS / this.windowS));
+    while (at < this.end && !this.windows[at - 1 - this.first].states) at++;
+    return Math.min(at, this.end);
   }
 
   async #request(at, isTurn) {
@@ -193,12 +208,15 @@ export class Drive {
     const states = at > 0 ? this.windows[at - 1 - this.first].states : null;
     this.requests++;
     try {
-      const { parts, states: after } = await this.roll({ light, states, signal: stop.signal });
+      const { windows, states: after } = await this.roll({ light, states, n: this.perRequest,
+        signal: stop.signal });
       if (stop.signal.aborted || this.isClosed) return;
       const tookMs = this.now() - sentMs;
-      this.replyMs = 0.8 * this.replyMs + 0.2 * Math.min(tookMs, 400);
+      const share = tookMs > this.replyMs ? 0.5 : 0.2; // gaps are worse than a slow turn
+      this.replyMs += share * (Math.min(tookMs, REPLY_MAX_MS) - this.replyMs);
       this.pending = null;
-      this.#take(at, { light, movedMs, parts, states: after });
+      this.#take(at, windows.map((parts, i) =>
+        ({ light, movedMs, parts, states: i === windows.length - 1 ? after : null })));
     } catch (error) {
       if (stop.signal.aborted || this.isClosed) return;
       this.pending = null;
@@ -208,8 +226,8 @@ export class Drive {
     this.#pump();
   }
 
-  /** Accepts a window, unless the one that it replaces plays already. */
-  #take(at, window) {
+  /** Accepts windows, unless the one that the first replaces plays already. */
+  #take(at, windows) {
     if (at < this.end) {
       const playsS = this.timeS + (this.playing
         ? ((this.now() - (this.beforeMs ?? this.now())) / 1000) * this.speed : 0);
@@ -217,7 +235,7 @@ export class Drive {
       this.windows.length = at - this.first;
       this.sink.cutAt(at);
     }
-    this.windows.push(window);
-    this.sink.append(window);
+    this.windows.push(...windows);
+    windows.forEach((window) => this.sink.append(window));
   }
 }

@@ -1,12 +1,12 @@
 /**
  * Robots on the stage whose recording grows while it plays. Each has room for a few seconds: when
- * that is used up, the older half makes room.
+ * that is used up, the oldest quarter makes room.
  */
 
 import { uploadFrames } from './robot.js';
 
-/** Frames that a robot has room for. */
-const ROWS = 128;
+/** Frames that a robot has room for. A drive computes at most 2.4 s ahead, about 120 frames. */
+const ROWS = 256;
 
 export class Live {
   /**
@@ -61,7 +61,7 @@ export class Live {
   append({ parts }) {
     const { stage: { gl }, robots, perWindow } = this;
     const from = robots[0].frames;
-    const gone = from + perWindow > ROWS ? ROWS / 2 : 0;
+    const gone = from + perWindow > ROWS ? ROWS / 4 : 0;
     robots.forEach((robot, i) => {
       const { nMasses, nSprings } = robot.body;
       const put = (all, part, perFrame) => {

@@ -112,11 +112,13 @@ export class Driving {
     this.lateSince = null;
     this.fault = '';
     this.lost = new Set();
+    /** Controller, physics and so on of each robot, as in the header of a scene. */
+    this.inputs = [];
     this.#show();
   }
 
-  /** Computes a window of all robots: a request for each controller. */
-  async #roll({ light, states, signal }) {
+  /** Computes n windows of all robots: a request for each controller. */
+  async #roll({ light, states, n, signal }) {
     const { environment, physics, precision, controller } = this.world;
     const world = { ...requested(environment), light_xy_m: light };
     delete world.task; // a task has a light of its own
@@ -128,22 +130,22 @@ export class Driving {
       groups.set(name, [...groups.get(name) ?? [], i]);
     });
     if (!groups.size) throw new Error('Every robot has diverged.');
-    const parts = robots.map(() => null);
+    const windows = Array.from({ length: n }, () => robots.map(() => null));
     const after = robots.map(() => null);
     await Promise.all([...groups].map(async ([name, members]) => {
       const designs = members.map((i) => ({ voxels: robots[i].genotype }));
       const { rows, inputs } = await rollWindow(designs, world, {
-        controller: name, physics, precision, signal,
+        controller: name, physics, precision, signal, n,
         states: states && members.map((i) => states[i]),
       });
-      this.inputs = inputs;
       members.forEach((i, row) => {
-        parts[i] = rows[row].part;
+        this.inputs[i] = inputs;
+        windows.forEach((parts, k) => { parts[i] = rows[row].parts[k]; });
         after[i] = rows[row].state;
       });
     }));
     this.fault = '';
-    return { parts, states: after };
+    return { windows, states: after };
   }
 
   #fail(error) {

@@ -30,41 +30,50 @@ export function saveDialog(driving) {
   dialog.addEventListener('close', () => driving.resume());
 }
 
-/** The path of the light as a task that any robot can be scored on. */
+/** The path of the light as a task that any robot can be scored on: with each controller. */
 function taskSection({ drive, player }, how) {
-  const { environment, number, world, set, controller, physics, precision } = how;
+  const { environment, number, world, set, physics, precision } = how;
   const points = pathOf(drive);
   const task = { guide: { kind: 'path', points_m: points } };
   const request = { ...requested(environment), task };
   delete request.light_xy_m;
-  const designs = player.stage.robots.map(({ robot, genotype }) =>
-    (robot ? { id: robot } : { voxels: genotype }));
-  const names = player.stage.robots.map(({ robot, genotype }) => robot ?? genotype);
-  const given = {
-    ...(controller && controller !== 'default' ? { controller } : {}),
-    ...(physics ? { physics } : {}), ...(precision ? { precision } : {}),
-  };
+  const { robots } = player.stage;
+  const nameOf = ({ robot, genotype }) => robot ?? genotype;
+  /** @type {string[]} */
+  const controllers = [...new Set(robots.map((robot) => robot.controller ?? how.controller))];
   // The world of a job has its physics and its precision; a set has neither.
   const link = withQuery('#/stage', {
-    designs: names.join(','), world, set: world ? null : set, environment: number,
-    controller: given.controller, path: points.map((point) => point.join('_')).join(','),
+    designs: [...new Set(robots.map(nameOf))].join(','), world, set: world ? null : set,
+    environment: number, controller: controllers.join() === 'default' ? null : controllers.join(),
+    path: points.map((point) => point.join('_')).join(','),
   });
-  const python = Object.entries(given).map(([key, one]) => `, ${key}=${pythonOf(one)}`).join('');
-  const words = ['eval', ...names, '--environments', '-'];
-  if (given.controller) words.push('--controller', given.controller);
-  for (const [key, value] of Object.entries(physics ?? {})) {
-    words.push('--physics', `${key}=${value}`);
-  }
-  if (precision) words.push('--precision', precision);
+  const commandsWith = (controller) => {
+    const own = robots.filter((robot) => (robot.controller ?? how.controller) === controller);
+    const given = {
+      ...(controller && controller !== 'default' ? { controller } : {}),
+      ...(physics ? { physics } : {}), ...(precision ? { precision } : {}),
+    };
+    const python = Object.entries(given).map(([key, one]) => `, ${key}=${pythonOf(one)}`).join('');
+    const words = ['eval', ...own.map(nameOf), '--environments', '-'];
+    if (given.controller) words.push('--controller', given.controller);
+    for (const [key, value] of Object.entries(physics ?? {})) {
+      words.push('--physics', `${key}=${value}`);
+    }
+    if (precision) words.push('--precision', precision);
+    return commandsOf({
+      path: 'v1/evaluations', headers: ['Prefer: wait=30'],
+      body: { designs: own.map(({ robot, genotype }) =>
+        (robot ? { id: robot } : { voxels: genotype })), environments: [request], ...given },
+      input: JSON.stringify([request]), morphoctl: words.map(shellWord).join(' '),
+      python: `print(m.evaluate(${pythonOf(own.map(nameOf))}, ${pythonOf([request])}${python})` +
+        '.frame())',
+    }).map(([tool, text]) => [controllers.length > 1 ? `${tool}, ${controller}` : tool, text]);
+  };
   return h('details', {}, h('summary', {}, 'The path of the light as a task'),
     h('div.stack', {},
       h('p', {}, `The path has ${points.length === 1 ? 'one way-point'
         : `${points.length} way-points`}, on the same terrain. You can score any robot on it, or `,
       'evolve robots for it. ', h('a', { href: link }, 'Watch it on the stage')),
-      commandSections([['JSON', JSON.stringify(request.task)], ...commandsOf({
-        path: 'v1/evaluations', headers: ['Prefer: wait=30'],
-        body: { designs, environments: [request], ...given },
-        input: JSON.stringify([request]), morphoctl: words.map(shellWord).join(' '),
-        python: `print(m.evaluate(${pythonOf(names)}, ${pythonOf([request])}${python}).frame())`,
-      })])));
+      commandSections([['JSON', JSON.stringify(request.task)],
+        .../** @type {[string, string][]} */ (controllers.flatMap(commandsWith))])));
 }

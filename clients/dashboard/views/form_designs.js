@@ -54,6 +54,17 @@ export class LearnedOn {
     this.job.required = is('population');
   }
 
+  /** Whether the bodies are not known before the request is sent. */
+  get isUnknown() {
+    return this.isAsked && this.choice.value === 'population';
+  }
+
+  /** The part of the request that is known without asking the service. */
+  known() {
+    return this.isAsked && this.choice.value === 'designs'
+      ? { designs: designsIn(this.designs.value) } : {};
+  }
+
   async request() {
     if (!this.isAsked) return {};
     if (this.choice.value === 'designs') return { designs: designsIn(this.designs.value) };

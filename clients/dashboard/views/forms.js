@@ -1,16 +1,16 @@
 /** Forms that start jobs. */
 
 import { getJson, post } from '../lib/api.js';
-import { button, h, say } from '../lib/dom.js';
+import { button, h } from '../lib/dom.js';
 import { commandsOf } from '../lib/commands.js';
 import { CAMPAIGN_PRESETS, TRAINING_PRESETS, TRAINING_STEPS } from '../lib/defaults.js';
-import { estimateOf, measureRollout } from '../lib/estimate.js';
 import { shellWord } from '../lib/format.js';
 import { KINDS } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
 import { isSuite } from '../lib/rollouts.js';
 import { ANY_LIGHT, SUITE, TASKS } from '../lib/tasks.js';
 import { DESIGNS_HINT, LearnedOn, designsIn } from './form_designs.js';
+import { Estimate } from './form_estimate.js';
 import { fieldsOf, hintOf } from './form_fields.js';
 import { announced, copyDialog } from './share.js';
 import { TaskChoice } from './task_choice.js';
@@ -76,9 +76,8 @@ export function startButton(app, kind, attributes = {}) {
  *   is kept, in words; its environments as a task to choose; the population to learn on
  */
 export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {}) {
-  const [contract, { items }, threads] = await Promise.all([app.contract(),
-    getJson('v1/controllers?limit=1000'), getJson('v1/threads').catch(() => null)]);
-  let rolloutSeconds = null;
+  const [contract, { items }, estimate] = await Promise.all([app.contract(),
+    getJson('v1/controllers?limit=1000'), Estimate.make(kind)]);
   const controllers = items.map(({ name }) => name).filter(Boolean);
   const [first, others] = [FIRST[kind], MORE[kind]].map((names) =>
     fieldsOf(kind, names.filter((name) => !(name in fixed)), contract, controllers, proposed));
@@ -91,7 +90,6 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {
   const message = h('p.error.wide', { role: 'alert' });
   const more = h('details.wide', {}, h('summary', {}, 'More'),
     h('div.fields', {}, others.map(({ element }) => element)));
-  const estimate = h('p.wide.muted', { 'aria-live': 'polite' });
   const drawn = app.task.points && app.task.name !== kept.world?.name ? [app.task] : [];
   const offered = [...(kept.world ? [kept.world] : []),
     ...(kind === 'training' ? [ANY_LIGHT, ...TASKS.slice(1)] : TASKS), ...drawn,
@@ -101,13 +99,15 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {
   /** Explains the field in focus; screen readers read it with the field. */
   const hint = h('p.hint.wide.muted', { 'aria-hidden': 'true' });
 
-  async function body() {
+  /** Returns the request without what a finetuning learns on; isWhole: with the numbers that empty
+   * fields stand for. */
+  function body(isWhole = false) {
     /** @type {any} */
-    const result = { ...fixed, ...await learnedOn?.request() };
+    const result = { ...fixed };
     for (const { name, schema, input } of fields) {
-      if (input.value === '') continue;
       const isNumber = ['integer', 'number'].includes(schema.type);
-      result[name] = isNumber ? Number(input.value) : input.value;
+      const value = input.value || (isWhole && isNumber ? input.placeholder : '');
+      if (value !== '') result[name] = isNumber ? Number(value) : value;
     }
     if (designs) result.designs = designsIn(designs.value);
     if (tasks?.environments) result.environments = tasks.environments;
@@ -119,7 +119,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {
     message.textContent = '';
     for (const field of fields) field.fault.textContent = '';
     try {
-      await work(await body());
+      await work({ ...body(), ...await learnedOn?.request() });
     } catch (error) {
       const rest = (error.faults ?? []).filter((fault) => {
         const name = fault.pointer?.split('/')[1];
@@ -164,27 +164,8 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {
       inputOf('population').placeholder = usual.population ?? 'as the preset says';
       inputOf('generations').placeholder = usual[mode] ?? 'as the preset says';
     }
-    say(estimate, estimateOf(designsScored(), isUsual() ? rolloutSeconds : null,
-      threads?.n_threads, tasks?.count));
-  }
-
-  /** Returns whether the rollouts are like those that were measured. */
-  function isUsual() {
-    if (fixed.physics) return false;
-    const usual = { controller: ['', 'default'], device: ['', 'auto', 'cpu'],
-      precision: ['', 'float32'] };
-    return threads !== null && Object.entries(usual).every(([name, values]) =>
-      values.includes(inputOf(name)?.value ?? ''));
-  }
-
-  /** Returns how many designs the request scores; 0 if scoring does not take most of the time. */
-  function designsScored() {
-    const valueOf = (name) => Number(inputOf(name).value || inputOf(name).placeholder);
-    if (kind === 'evaluation') {
-      return fixed.designs?.length ?? fixed.random?.count ?? designsIn(designs.value).length;
-    }
-    if (kind !== 'campaign' || inputOf('mode').value !== 'zero-shot') return 0;
-    return valueOf('population') * (valueOf('generations') + 1) * valueOf('replicates') || 0;
+    estimate.show({ ...body(true), ...learnedOn?.known() }, items, {
+      environments: tasks?.count ?? fixed.environments?.length, isUnknown: learnedOn?.isUnknown });
   }
 
   const dialog = h('dialog', { 'aria-label': `New ${kind}`, onclose: () => dialog.remove() },
@@ -203,19 +184,13 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {
     fixed.initial?.designs ? h('p.wide', {}, founders(fixed.initial.designs.length)) : null,
     kept.words ? h('p.wide.kept', {}, kept.words) : null,
     tasks?.element, first.map(({ element }) => element), learnedOn?.elements,
-    designs ? h('label.field.wide', {}, h('span', {}, 'Designs'), designs) : null, more, estimate,
+    designs ? h('label.field.wide', {}, h('span', {}, 'Designs'), designs) : null, more, estimate.element,
     hint, message, h('div.row.ends.wide', {}, button('Copy as a command', () => attempt(copy)),
       button('Cancel', () => dialog.close()),
       h('button.primary', { type: 'submit' }, 'Start'))));
   adapt();
   document.body.append(dialog);
   dialog.showModal();
-  if (kind !== 'training') {
-    measureRollout().then((seconds) => {
-      rolloutSeconds = seconds;
-      adapt();
-    }).catch(() => {}); // the number of rollouts is still shown
-  }
 }
 
 const founders = (n) =>
