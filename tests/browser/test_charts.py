@@ -215,10 +215,37 @@ def test_choices_survive_new_values(service, browser):
     service.act(id, "cancel")
 
 
+def test_keys_reach_only_ranges_that_a_link_can_name(browser, evolved):
+    shown(browser, evolved)
+    browser.run("arguments[0].focus()", browser.driver.find_element("css selector", "summary, a"))
+    browser.run("arguments[0].focus()", canvas(browser))
+    press(browser, Keys.HOME, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, *"+" * 40)
+    zoom = query(browser)["zoom"]
+    first, last = map(float, zoom.split(".."))
+    assert 1.9 < first < last < 2.1
+    press(browser, *"+" * 20)
+    assert query(browser)["zoom"] == zoom
+    browser.open(f"campaigns/{evolved}?zoom={zoom}")
+    browser.until(f"{FIGURE.format('Score')}?.querySelector('canvas').ariaLabel"
+                  ".includes('generation 2 to 2')")
+    assert browser.faults() == []
+
+
+def test_a_link_that_hides_an_unknown_series(browser, evolved):
+    """Its chart says so, in a line; the others do not."""
+    shown(browser, evolved, "?hide=scores.medain|scores.median|scores")
+    [fault] = browser.texts("figure .error:not([hidden])")
+    assert fault.startswith("hide=scores.medain|scores: no such series here; the series are ")
+    assert "median" in fault.split("are ")[1] and "median" not in described(browser)
+    shown(browser, evolved, "?hide=scores.median")
+    assert browser.texts("figure .error:not([hidden])") == []
+    assert browser.faults() == []
+
+
 @pytest.mark.parametrize("query, words", (
     ("zoom=5..2", "use a range such as 10..40"), ("zoom=..", "a range such as 10..40"),
     ("x=robots", "use one of generation, rollouts, time"),
-    ("log=speed", "No chart is named speed")))
+    ("log=speed", "No chart is named speed"), ("hide=speed.best", "No chart is named speed")))
 def test_wrong_choices_in_a_link(browser, evolved, query, words):
     browser.open(f"campaigns/{evolved}?{query}")
     browser.until("document.querySelector('[role=alert]')")

@@ -134,6 +134,61 @@ def test_undo_and_redo_last(browser):
     assert browser.faults() == []
 
 
+# Replies to a path wait for `release`, also those of requests that were given up.
+HELD = """
+    const fetched = window.fetch;
+    window.waiting = 0;
+    window.release = null;
+    const held = new Promise((resolve) => { window.release = resolve; });
+    window.fetch = async (address, { signal, ...rest } = {}) => {
+      if (!String(address).includes(%r)) return fetched(address, { signal, ...rest });
+      window.fetch = fetched; // only the first
+      waiting++;
+      const reply = await fetched(address, rest);
+      await held;
+      setTimeout(() => { waiting--; }, 300);
+      return reply;
+    };
+"""
+
+
+def test_what_is_painted_during_a_request_stays(browser):
+    """A random body that arrives late does not replace what was painted in the meantime."""
+    browser.open("lab?voxels=" + genotype((0, 0, 0), (1, 0, 0)))
+    browser.until(SCORED)
+    for changes in True, False:
+        browser.run(HELD % "v1/bodies/random")
+        before = cells(browser)
+        browser.click("Random")
+        browser.until("waiting")
+        if changes:
+            stroke(browser, middle(browser, cell(len(before), 0, 0)))
+            painted = cells(browser)
+            assert len(painted) == len(before) + 1
+        browser.run("release()")
+        browser.until("!waiting")
+        if changes:
+            assert cells(browser) == painted and body(browser) == genotype(*painted)
+    browser.until("document.querySelectorAll('[aria-selected=true]').length >= 6")
+    assert browser.faults() == []
+
+
+def test_a_late_walk_of_an_older_body_is_not_shown(browser):
+    browser.open("lab?voxels=" + genotype((0, 0, 0), (1, 0, 0)))
+    browser.until(SCORED)
+    browser.run(HELD % "v1/rollouts")
+    stroke(browser, middle(browser, cell(2, 0, 0)))
+    browser.until("waiting")
+    stroke(browser, middle(browser, cell(3, 0, 0)))
+    voxels = "document.querySelector('.stage').player.stage.robots[0]?.body.nVoxels"
+    browser.until(f"{voxels} === 4")
+    browser.run("release()")
+    browser.until("!waiting")
+    assert browser.run(f"return {voxels}") == 4
+    assert "4 voxels" in browser.texts(".result")[0]
+    assert browser.faults() == []
+
+
 def test_loose_voxels_are_marked(browser):
     """The message counts them, and the stage says that another body walks."""
     browser.open("lab?voxels=" + genotype((0, 0, 0), (1, 0, 0), (2, 0, 0)))

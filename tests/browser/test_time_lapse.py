@@ -4,6 +4,8 @@ import pytest
 
 from conftest import CAMPAIGN, make_study
 from service import await_end, run, until
+from test_lab import HELD
+from test_tray import module
 
 pytestmark = pytest.mark.usefixtures("still")
 LAPSE = "document.querySelector('[aria-label=Time-lapse]')"
@@ -82,6 +84,25 @@ def test_the_user_stops_it(service, browser):
     browser.run("document.querySelector('.pick .card').click()")  # another robot takes the stage
     assert browser.texts("[aria-label=Time-lapse] button")[0] == "Play"
     assert browser.run("return document.querySelector('.stage').player.speed") == 1
+
+
+def test_a_late_walk_does_not_take_the_stage(service, browser):
+    """The reply for a champion that was chosen first arrives after that for the second."""
+    shown(browser, service.campaign)
+    browser.until("document.querySelectorAll('.pick').length > 1")
+    browser.until("document.querySelector('.stage').player.stage?.robots.length > 1")
+    browser.run(HELD % "v1/rollouts")
+    numbers = browser.run("""
+        const cards = [...document.querySelectorAll('.pick .card')].slice(0, 2);
+        cards[0].click();
+        return cards.map((card) => card.innerText.match(/#\\d+/)[0]);""")
+    browser.until("waiting")
+    browser.run("document.querySelectorAll('.pick .card')[1].click()")
+    browser.until(f"{WALKS}.startsWith('{numbers[1]} ')")
+    browser.run("release()")
+    browser.until("!waiting")
+    assert browser.run(f"return {WALKS}").startswith(numbers[1] + " ")
+    assert browser.texts(".stage .note") == [""]
 
 
 def test_it_grows_while_the_campaign_runs(service, browser):
@@ -172,3 +193,30 @@ def test_another_choice_keeps_the_stage(service, browser):
     browser.until(f"{last} > before + 1")
     assert browser.run("return " + WALKS) == walks
     service.act(id, "cancel")
+
+
+def test_bodies_that_make_room_are_not_those_that_are_shown(service, browser):
+    """Beyond 128 bodies all are dropped, and the one that is to be shown is simulated again."""
+    browser.open("nowhere")
+    shown = module(browser, "views/time_lapse.js", """
+        const id = arguments[1];
+        const api = await import(folder + 'lib/api.js');
+        const job = await api.getJson(`v1/campaigns/${id}`);
+        const { items } = await api.getJson(`v1/campaigns/${id}/generations?limit=100`);
+        let arrived;
+        const next = () => new Promise((resolve) => { arrived = resolve; });
+        const stage = { take() {}, player: { setRobots: (robots) => arrived(robots) } };
+        const lapse = new of.TimeLapse({ id, get: api.getJson, job: () => job, shown: String,
+          signal: new AbortController().signal }, stage);
+        lapse.set(items);
+        const slide = (generation) => {
+          lapse.slider.value = generation;
+          lapse.slider.dispatchEvent(new Event('input'));
+          return next();
+        };
+        const [first] = await slide(0);
+        for (let i = 0; i < 130; i++) lapse.robots.set(1e6 + i, {});
+        const [again] = await slide(0);
+        done([first, again].map((robot) => robot?.label ?? null).concat(lapse.robots.size));
+    """, service.campaign)
+    assert shown[0] and shown[1] == shown[0] and shown[2] == 1

@@ -111,6 +111,9 @@ export class Chart {
     this.element = h('figure.panel.chart', {},
       h('figcaption', {}, h('h3', {}, options.title), note ? h('span.muted', {}, note) : null,
         this.legend, h('span.row', {}, this.whole, this.logToggle)), this.canvas, this.readout);
+    /** What is wrong with the link. */
+    this.fault = h('p.error', { 'aria-live': 'polite', hidden: true });
+    this.element.append(this.fault);
     this.#listen(!xRange);
     this.observer = new ResizeObserver(() => this.draw());
     this.observer.observe(this.canvas);
@@ -208,7 +211,18 @@ export class Chart {
       if (known.length > 1) element.setAttribute('aria-pressed', String(this.#isShown(s)));
     });
     this.canvas.setAttribute('aria-label', this.#summary());
+    this.#checkHidden();
     this.showCursor(false);
+  }
+
+  /** Says which hidden series the chart does not have. */
+  #checkHidden() {
+    const names = [...new Set(this.series.map((s) => s.of ?? s.name))];
+    const unknown = names.length
+      ? this.group.hiddenIn(this.options.key).filter((name) => !names.includes(name)) : [];
+    this.fault.hidden = !unknown.length;
+    say(this.fault, unknown.length ? `hide=${unknown.map((name) =>
+      [this.options.key, name].filter(Boolean).join('.')).join('|')}: no such series here; the series are ${names.join(', ')}.` : '');
   }
 
   destroy() {

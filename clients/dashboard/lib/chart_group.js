@@ -57,6 +57,12 @@ export class ChartGroup {
     this.#changed();
   }
 
+  /** Returns the names of the hidden series of a chart. */
+  hiddenIn(key) {
+    return [...this.hidden].filter((one) => one.split('.')[0] === key)
+      .map((one) => one.slice(key.length + 1));
+  }
+
   /** Shows or hides a series. @param {string} name CHART.SERIES */
   show(name, isShown) {
     if (isShown) this.hidden.delete(name);

@@ -22,11 +22,13 @@ function springsOf({ voxels, id }) {
 const sizeOf = ({ rollouts, blocks, springs, steps }, device) =>
   (rollouts + (device === 'cpu' ? 2 * blocks : 0)) * steps * (260 + springs);
 
+/** A controller whose period is 0 acts in every step. */
+const periodOf = ({ control_period_s: period, dt_s: stepS }) => period || stepS;
 const isSame = (a, b) => Math.abs(a - b) < 1e-9;
 const isLike = (row, { physics, precision, device }, work) => row.work === work &&
   row.device === device && row.precision === precision &&
   row.integrator === physics.integrator && isSame(row.dt_s, physics.dt_s) &&
-  isSame(row.control_period_s, physics.control_period_s);
+  isSame(periodOf(row), periodOf(physics));
 
 /**
  * What a request computes.
@@ -92,18 +94,19 @@ export function planOf(kind, request, { periodS, environments = ENVIRONMENTS, is
 /**
  * Measures a kind of work with a few random bodies, if the service has not yet computed any.
  * @param {Plan} plan
- * @param {string|undefined} controller with the control period of the plan
+ * @param {string} controller any: only its period matters
  * @returns {Promise<any[]>} the rates
  */
 export async function measured(plan, controller) {
   const { items } = await getJson('v1/rates');
-  const { dt_s, integrator, control_period_s } = plan.physics;
+  const { dt_s, integrator } = plan.physics;
   if (plan.device !== 'cpu' || items.some((row) => isLike(row, plan, 'rollouts'))) return items;
   const { items: bodies } = await post('v1/bodies/random', { count: MEASURED });
   for (const { genotype } of bodies) { // one thread computes a body in all its environments
     await post('v1/rollouts', { designs: [{ voxels: genotype }], environments: 'paper-test',
       record: [], precision: plan.precision, controller,
-      physics: { dt_s, integrator, control_period_s, n_steps: MEASURED_STEPS } });
+      physics: { dt_s, integrator, control_period_s: periodOf(plan.physics),
+        n_steps: MEASURED_STEPS } });
   }
   return (await getJson('v1/rates')).items;
 }

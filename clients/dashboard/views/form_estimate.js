@@ -48,11 +48,10 @@ export class Estimate {
     const key = JSON.stringify([physics, precision, device]);
     if (!this.plan || key === this.key) return;
     this.key = key;
-    measured(this.plan, named ?? controllers.find((one) => one.control_period_s === periodS)?.name)
-      .then((rates) => {
-        this.rates = rates;
-        if (key === this.key) this.write();
-      }).catch(() => {}); // the number of rollouts is still shown
+    measured(this.plan, named ?? 'default').then((rates) => {
+      this.rates = rates;
+      if (key === this.key) this.write();
+    }).catch(() => {}); // the number of rollouts is still shown
   }
 
   deviceOf({ device = 'auto' }, { precision, scoring }) {
