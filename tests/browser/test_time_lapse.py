@@ -199,7 +199,7 @@ def test_bodies_that_make_room_are_not_those_that_are_shown(service, browser):
     """Beyond 128 bodies all are dropped, and the one that is to be shown is simulated again."""
     browser.open("nowhere")
     shown = module(browser, "views/time_lapse.js", """
-        const id = arguments[1];
+        return (async (id) => {
         const api = await import(folder + 'lib/api.js');
         const job = await api.getJson(`v1/campaigns/${id}`);
         const { items } = await api.getJson(`v1/campaigns/${id}/generations?limit=100`);
@@ -218,5 +218,6 @@ def test_bodies_that_make_room_are_not_those_that_are_shown(service, browser):
         for (let i = 0; i < 130; i++) lapse.robots.set(1e6 + i, {});
         const [again] = await slide(0);
         done([first, again].map((robot) => robot?.label ?? null).concat(lapse.robots.size));
+        })(arguments[1]);
     """, service.campaign)
     assert shown[0] and shown[1] == shown[0] and shown[2] == 1

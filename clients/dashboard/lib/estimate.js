@@ -6,6 +6,8 @@ import { count, countOf, duration } from './format.js';
 
 /** Environments, unless a request says otherwise; bodies of a measurement, and their steps. */
 const [ENVIRONMENTS, MEASURED, MEASURED_STEPS] = [10, 3, 400];
+/** Fewer steps say little. */
+const STEPS_MIN = 10000;
 /** The mean number of springs of random bodies; their survivors have about twice as many. */
 const [RANDOM, EVOLVED] = [250, 500];
 /** A gradient takes about as long as this many rollouts. */
@@ -100,7 +102,8 @@ export function planOf(kind, request, { periodS, environments = ENVIRONMENTS, is
 export async function measured(plan, controller) {
   const { items } = await getJson('v1/rates');
   const { dt_s, integrator } = plan.physics;
-  if (plan.device !== 'cpu' || items.some((row) => isLike(row, plan, 'rollouts'))) return items;
+  if (plan.device !== 'cpu' || items.some((row) =>
+    isLike(row, plan, 'rollouts') && row.steps >= STEPS_MIN)) return items;
   const { items: bodies } = await post('v1/bodies/random', { count: MEASURED });
   for (const { genotype } of bodies) { // one thread computes a body in all its environments
     await post('v1/rollouts', { designs: [{ voxels: genotype }], environments: 'paper-test',
