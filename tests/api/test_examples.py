@@ -40,7 +40,8 @@ def walk(service):
                  "/v1/environment-sets/paper-test",
                  f"/v1/designs/{result['id']}/body", "/v1/designs?limit=1", "/v1/controllers",
                  "/v1/controllers/default", "/v1/held-out?designs=1&environments=1", "/v1/whoami",
-                 "/v1/threads", "/v1/rates", "/v1/devices", "/v1/load", "/v1/fleet", "/healthz", "/readyz"):
+                 "/v1/threads", "/v1/rates", "/v1/devices", "/v1/load", "/v1/fleet", "/healthz",
+                 "/readyz"):
         call("GET", path)
     design = call("GET", f"/v1/designs/{result['id']}")
     score = design["orientations"][0]["scores"][0]

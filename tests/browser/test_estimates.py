@@ -31,7 +31,8 @@ def figures(browser, words="Based on"):
     """Returns the text, and its numbers of gradients, rollouts and core-seconds."""
     browser.until(f"{SHOWN}.includes({words!r})")
     text = browser.run(f"return {SHOWN}")
-    found = [re.search(rf"([\d.,]+) {unit}", text) for unit in ("gradient", "rollout", "core-second")]
+    found = [re.search(rf"([\d.,]+) {unit}", text)
+             for unit in ("gradient", "rollout", "core-second")]
     return text, [float(one[1].replace(",", "")) if one else None for one in found]
 
 

@@ -220,9 +220,11 @@ export class Chart {
     const names = [...new Set(this.series.map((s) => s.of ?? s.name))];
     const unknown = names.length
       ? this.group.hiddenIn(this.options.key).filter((name) => !names.includes(name)) : [];
-    this.fault.hidden = !unknown.length;
-    say(this.fault, unknown.length ? `hide=${unknown.map((name) =>
-      [this.options.key, name].filter(Boolean).join('.')).join('|')}: no such series here; the series are ${names.join(', ')}.` : '');
+    const { key } = this.options;
+    const wrong = unknown.map((name) => [key, name].filter(Boolean).join('.')).join('|');
+    this.fault.hidden = !wrong;
+    say(this.fault, wrong && `hide=${wrong}: no such series here; the series are ${
+      names.join(', ')}.`);
   }
 
   destroy() {

@@ -1,7 +1,8 @@
 /** What a request will take here, from the time that earlier rollouts took (GET /v1/rates). */
 
 import { getJson, post } from './api.js';
-import { CAMPAIGN_STEPS, VALIDATION, physicsOf } from './defaults.js';
+import { CAMPAIGN_STEPS, VALIDATION, physicsOf, randomPeriodS } from './defaults.js';
+import { h, say } from './dom.js';
 import { count, countOf, duration } from './format.js';
 
 /** Environments, unless a request says otherwise; bodies of a measurement, and their steps. */
@@ -12,6 +13,9 @@ const STEPS_MIN = 10000;
 const [RANDOM, EVOLVED] = [250, 500];
 /** A gradient takes about as long as this many rollouts. */
 const GRADIENT = 6;
+
+/** Rollouts from which `auto` computes an evaluation on a device. */
+const DEVICE_ROLLOUTS = 1000;
 
 /** Returns roughly the springs of a body, from its voxels. */
 function springsOf({ voxels, id }) {
@@ -24,13 +28,10 @@ function springsOf({ voxels, id }) {
 const sizeOf = ({ rollouts, blocks, springs, steps }, device) =>
   (rollouts + (device === 'cpu' ? 2 * blocks : 0)) * steps * (260 + springs);
 
-/** A controller whose period is 0 acts in every step. */
-const periodOf = ({ control_period_s: period, dt_s: stepS }) => period || stepS;
-const isSame = (a, b) => Math.abs(a - b) < 1e-9;
-const isLike = (row, { physics, precision, device }, work) => row.work === work &&
-  row.device === device && row.precision === precision &&
-  row.integrator === physics.integrator && isSame(row.dt_s, physics.dt_s) &&
-  isSame(periodOf(row), periodOf(physics));
+/** Returns the kind of rollouts, as a text. A controller whose period is 0 acts in every step. */
+const likeOf = ({ device, precision, integrator, dt_s: stepS, control_period_s: period }) =>
+  [device, precision, integrator, stepS, period || stepS].join();
+const isLike = (row, plan, work) => row.work === work && likeOf(row) === plan.like;
 
 /**
  * What a request computes.
@@ -38,6 +39,7 @@ const isLike = (row, { physics, precision, device }, work) => row.work === work 
  * @property {any} physics
  * @property {string} precision
  * @property {string} device cpu or cuda
+ * @property {string} like the kind of its rollouts
  * @property {{rollouts: number, blocks: number, springs: number}} scoring
  * @property {{rollouts: number, blocks: number, springs: number}|null} learning robots
  * @property {boolean} isMost some rollouts may turn out not to be needed
@@ -52,15 +54,15 @@ const isLike = (row, { physics, precision, device }, work) => row.work === work 
  *   controller; isUnknown: the bodies to learn on are
  * @returns {Plan|null}
  */
-export function planOf(kind, request, { periodS, environments = ENVIRONMENTS, isUnknown }) {
+function planOf(kind, request, { periodS, environments = ENVIRONMENTS, isUnknown }) {
   const own = typeof request.physics === 'object' ? request.physics : {};
   const isPaper = request.preset === 'paper' || request.physics === 'paper';
   const physics = { ...physicsOf(isPaper, periodS), ...own };
   const listed = request.designs ?? request.initial?.designs ?? [];
   const springs = listed.length
     ? listed.reduce((sum, one) => sum + springsOf(one), 0) / listed.length : RANDOM;
-  const plan = { physics, precision: request.precision ?? 'float32', device: 'cpu', learning: null,
-    isMost: false, isSure: listed.length > 0 };
+  const plan = { physics, precision: request.precision ?? 'float32', device: 'cpu', like: '',
+    learning: null, isMost: false, isSure: listed.length > 0 };
   if (kind === 'evaluation') {
     const designs = listed.length || (request.random?.count ?? 0);
     const times = request.tolerance || request.error ? 5 : 1;
@@ -88,9 +90,10 @@ export function planOf(kind, request, { periodS, environments = ENVIRONMENTS, is
   const learned = steps ? replicates * steps.batch *
     (steps.child_steps + generations * (steps.parent_steps + steps.child_steps)) : 0;
   const size = generations > 3 ? EVOLVED : springs;
+  const learning = { rollouts: learned, blocks: Math.ceil(learned / 32), springs: size };
   return { ...plan, isMost: true, isSure: false,
     scoring: { rollouts: designs * environments, blocks: designs, springs: size },
-    learning: steps ? { rollouts: learned, blocks: Math.ceil(learned / 32), springs: size } : null };
+    learning: steps ? learning : null };
 }
 
 /**
@@ -99,17 +102,16 @@ export function planOf(kind, request, { periodS, environments = ENVIRONMENTS, is
  * @param {string} controller any: only its period matters
  * @returns {Promise<any[]>} the rates
  */
-export async function measured(plan, controller) {
+async function measured(plan, controller) {
   const { items } = await getJson('v1/rates');
-  const { dt_s, integrator } = plan.physics;
+  const { dt_s, integrator, control_period_s: period } = plan.physics;
   if (plan.device !== 'cpu' || items.some((row) =>
     isLike(row, plan, 'rollouts') && row.steps >= STEPS_MIN)) return items;
   const { items: bodies } = await post('v1/bodies/random', { count: MEASURED });
   for (const { genotype } of bodies) { // one thread computes a body in all its environments
     await post('v1/rollouts', { designs: [{ voxels: genotype }], environments: 'paper-test',
       record: [], precision: plan.precision, controller,
-      physics: { dt_s, integrator, control_period_s: periodOf(plan.physics),
-        n_steps: MEASURED_STEPS } });
+      physics: { dt_s, integrator, control_period_s: period || dt_s, n_steps: MEASURED_STEPS } });
   }
   return (await getJson('v1/rates')).items;
 }
@@ -129,7 +131,7 @@ function secondsOf(part, plan, work, rates) {
  * @param {any[]|null} rates null: unknown
  * @param {number} n threads, or devices
  */
-export function estimateOf(plan, rates, n) {
+function estimateOf(plan, rates, n) {
   if (!plan) return '';
   const { scoring, learning, device } = plan;
   const parts = [learning && `${count(learning.rollouts)} gradients`,
@@ -149,7 +151,69 @@ export function estimateOf(plan, rates, n) {
   const basis = [own && countOf(own.n, 'gradient'), scored && countOf(scored.n, 'rollout'),
   ].filter(Boolean).join(' and ');
   return `${what}: ${plan.isSure && (own || !learning) ? 'about' : 'roughly'} ` +
-    `${countOf(Number(seconds.toPrecision(2)), unit)}, ${duration(seconds / used)} here if nothing ` +
-    `else runs. Based on ${basis} like these since the service started` +
+    `${countOf(Number(seconds.toPrecision(2)), unit)}, ${duration(seconds / used)} here if ` +
+    `nothing else runs. Based on ${basis} like these since the service started` +
     `${learning && !own ? '; no gradients yet' : ''}.`;
+}
+
+/** The line of a form that says what its request will take. */
+export class Estimate {
+  /** @param {string} kind @param {number|undefined} threads @param {number} devices working */
+  constructor(kind, threads, devices) {
+    this.kind = kind;
+    this.threads = threads;
+    this.devices = devices;
+    this.like = '';
+    /** @type {Plan|null} */
+    this.plan = null;
+    this.element = h('p.wide.muted.estimate', { 'aria-live': 'polite' });
+    /** @type {any[]|null} */
+    this.rates = null;
+  }
+
+  static async make(kind) {
+    const [threads, devices] = await Promise.all(['v1/threads', 'v1/devices'].map((path) =>
+      getJson(path).catch(() => null)));
+    return new Estimate(kind, threads?.n_threads,
+      devices?.items.filter(({ state }) => state === 'working').length ?? 0);
+  }
+
+  /**
+   * Shows the estimate of a request.
+   * @param {any} request with the numbers that its empty fields stand for
+   * @param {any[]} controllers
+   * @param {{environments?: number, isUnknown?: boolean}} of see planOf
+   */
+  show(request, controllers, of) {
+    const isRandom = request.kind === 'pretrain' || request.mode === 'simultaneous';
+    const named = request.controller ?? (isRandom ? null : 'default');
+    const periodS = named === null ? randomPeriodS(request.preset === 'paper')
+      : controllers.find(({ name, sha256 }) => [name, `sha256:${sha256}`].includes(named))
+        ?.control_period_s ?? 0;
+    this.plan = planOf(this.kind, request, { isUnknown: false, ...of, periodS });
+    const { plan } = this;
+    if (plan) {
+      plan.device = this.deviceOf(request, plan);
+      plan.like = likeOf({ ...plan.physics, ...plan });
+    }
+    this.write();
+    if (!plan || plan.like === this.like) return;
+    const { like } = plan;
+    this.like = like;
+    measured(plan, named ?? 'default').then((rates) => {
+      this.rates = rates;
+      if (like === this.like) this.write();
+    }).catch(() => {}); // the number of rollouts is still shown
+  }
+
+  deviceOf({ device = 'auto' }, { precision, scoring }) {
+    const suits = this.kind !== 'evaluation' ||
+      (precision === 'float32' && scoring.rollouts >= DEVICE_ROLLOUTS);
+    return device === 'cuda' || (device === 'auto' && this.devices > 0 && suits) ? 'cuda' : 'cpu';
+  }
+
+  write() {
+    const n = this.plan?.device === 'cpu' ? this.threads : this.devices;
+    say(this.element, estimateOf(this.plan, this.threads ? this.rates : null, n || 1));
+  }
 }

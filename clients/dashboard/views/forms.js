@@ -4,13 +4,13 @@ import { getJson, post } from '../lib/api.js';
 import { button, h } from '../lib/dom.js';
 import { commandsOf } from '../lib/commands.js';
 import { CAMPAIGN_PRESETS, TRAINING_PRESETS, TRAINING_STEPS } from '../lib/defaults.js';
+import { Estimate } from '../lib/estimate.js';
 import { shellWord } from '../lib/format.js';
 import { KINDS } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
 import { isSuite } from '../lib/rollouts.js';
 import { ANY_LIGHT, SUITE, TASKS } from '../lib/tasks.js';
 import { DESIGNS_HINT, LearnedOn, designsIn } from './form_designs.js';
-import { Estimate } from './form_estimate.js';
 import { fieldsOf, hintOf } from './form_fields.js';
 import { announced, copyDialog } from './share.js';
 import { TaskChoice } from './task_choice.js';
@@ -184,9 +184,9 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {
     fixed.initial?.designs ? h('p.wide', {}, founders(fixed.initial.designs.length)) : null,
     kept.words ? h('p.wide.kept', {}, kept.words) : null,
     tasks?.element, first.map(({ element }) => element), learnedOn?.elements,
-    designs ? h('label.field.wide', {}, h('span', {}, 'Designs'), designs) : null, more, estimate.element,
-    hint, message, h('div.row.ends.wide', {}, button('Copy as a command', () => attempt(copy)),
-      button('Cancel', () => dialog.close()),
+    designs ? h('label.field.wide', {}, h('span', {}, 'Designs'), designs) : null, more,
+    estimate.element, hint, message, h('div.row.ends.wide', {},
+      button('Copy as a command', () => attempt(copy)), button('Cancel', () => dialog.close()),
       h('button.primary', { type: 'submit' }, 'Start'))));
   adapt();
   document.body.append(dialog);

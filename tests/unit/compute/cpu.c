@@ -354,6 +354,51 @@ static void passive_and_faults(void)
   CHECK_INT(blocks[1].status, MO_OK);
 }
 
+/* Work of one kind is summed; other kinds have sums of their own; passive and failed work has
+ * none. */
+static void work_is_rated(void)
+{
+  struct mo_compute *compute = make_compute(1);
+  struct mo_compute_controller *brain = make_compute_controller(compute, controller);
+  struct mo_compute_controller *none = make_compute_controller(compute, NULL);
+  uint64_t genotype[MO_DEFAULT_WORDS], empty[MO_DEFAULT_WORDS] = {0};
+  genotype_number(1, genotype);
+  struct mo_body *body = NULL;
+  REQUIRE(mo_body_create(lattice, genotype, &body) == MO_OK);
+  struct mo_rate rates[MO_RATES_MAX];
+  struct mo_block block;
+  for (int run = 0; run < 5; run++) {
+    fill_block(&block, run == 4 ? empty : genotype, run == 3 ? none : brain, 10 + 10 * run);
+    if (run == 2)
+      block.precision = MO_FLOAT64;
+    CHECK_INT(mo_compute_run(compute, &block, 1), run == 4 ? MO_ERR_EMPTY : MO_OK);
+  }
+  CHECK_INT(mo_compute_get_rates(compute, rates), 2);
+  CHECK_INT(rates[0].precision, MO_FLOAT32);
+  CHECK_INT(rates[1].precision, MO_FLOAT64);
+  CHECK_INT(rates[0].blocks, 2);
+  CHECK_INT(rates[0].rollouts, 2 * MO_PAPER_TEST_COUNT);
+  CHECK_INT(rates[0].steps, 30 * MO_PAPER_TEST_COUNT);
+  CHECK_INT(rates[0].spring_steps, (uint64_t)30 * MO_PAPER_TEST_COUNT * body->n_springs);
+  CHECK_INT(rates[1].steps, 30 * MO_PAPER_TEST_COUNT);
+  CHECK(rates[0].busy_s > 0 && rates[1].busy_s > 0 && !rates[0].is_gradient);
+  /* More kinds than rows: the kind that is oldest in use makes room. */
+  for (uint32_t i = 0; i < MO_RATES_MAX; i++) {
+    fill_block(&block, genotype, brain, 1);
+    block.physics.scheme.dt_s = 1e-5 * (1 + i);
+    CHECK_INT(mo_compute_run(compute, &block, 1), MO_OK);
+    fill_block(&block, genotype, brain, 1); /* always in use */
+    CHECK_INT(mo_compute_run(compute, &block, 1), MO_OK);
+  }
+  CHECK_INT(mo_compute_get_rates(compute, rates), MO_RATES_MAX);
+  bool has_float64 = false;
+  for (uint32_t i = 0; i < MO_RATES_MAX; i++)
+    has_float64 = has_float64 || rates[i].precision == MO_FLOAT64;
+  CHECK(!has_float64);
+  CHECK_INT(rates[0].blocks, 2 + MO_RATES_MAX);
+  mo_body_free(body);
+}
+
 static const struct check_case cases[] = {
     {"the same bits for any workers and order", same_bits_for_any_workers_and_order},
     {"processor time is charged", charges_processor_time},
@@ -364,5 +409,6 @@ static const struct check_case cases[] = {
     {"precision and physics of each block", blocks_are_what_was_asked_for},
     {"no block is accepted after the end", no_block_is_taken_after_the_end},
     {"passive bodies and faults", passive_and_faults},
+    {"work is rated", work_is_rated},
 };
 CHECK_MAIN_WITH(setup, cases)
