@@ -229,6 +229,11 @@ static void scores_do_not_depend_on_the_number(void)
       rollouts += status.rollouts_done;
     }
     CHECK_INT(rollouts, 2 * DESIGNS * ENVIRONMENTS);
+    struct mo_rate rates[MO_RATES_MAX];
+    CHECK_INT(mo_compute_get_rates(compute, rates), 1);
+    CHECK_INT(rates[0].back_end, MO_ON_DEVICE);
+    CHECK_INT(rates[0].rollouts, rollouts);
+    CHECK(rates[0].spring_steps > rates[0].steps && rates[0].busy_s > 0);
     check_drop_from(compute);
   }
 }
