@@ -3,7 +3,7 @@
 import { getJson, post } from './api.js';
 import { CAMPAIGN_STEPS, VALIDATION, physicsOf, randomPeriodS } from './defaults.js';
 import { h, say } from './dom.js';
-import { count, countOf, duration } from './format.js';
+import { countOf, duration } from './format.js';
 
 /** Environments, unless a request says otherwise; bodies of a measurement, and their steps. */
 const [ENVIRONMENTS, MEASURED, MEASURED_STEPS] = [10, 3, 400];
@@ -17,12 +17,9 @@ const GRADIENT = 6;
 /** Rollouts from which `auto` computes an evaluation on a device. */
 const DEVICE_ROLLOUTS = 1000;
 
-/** Returns roughly the springs of a body, from its voxels. */
-function springsOf({ voxels, id }) {
-  const [digits] = /^([01]{144}|[0-9a-f]{36})/.exec(voxels ?? id) ?? [''];
-  const bits = BigInt(`${digits.length === 144 ? '0b' : '0x'}${digits || '0'}`).toString(2);
-  return 24 * bits.replaceAll('0', '').length ** 0.85 || RANDOM;
-}
+/** Returns roughly the springs of a body, from its voxels: binary or hexadecimal digits. */
+const springsOf = ({ voxels, id = voxels }) => 24 * [...id.split('@')[0]].reduce((n, digit) =>
+  n + Number('0112122312232334'[parseInt(digit, 16)] ?? 0), 0) ** 0.85 || RANDOM;
 
 /** The time of rollouts is proportional to this; a processor takes two more for each block. */
 const sizeOf = ({ rollouts, blocks, springs, steps }, device) =>
@@ -50,7 +47,7 @@ const isLike = (row, plan, work) => row.work === work && likeOf(row) === plan.li
  * Returns what a request computes; null if it lacks designs.
  * @param {string} kind
  * @param {any} request with all numbers, also those that a preset stands for
- * @param {{periodS: number, environments?: number, isUnknown: boolean}} of periodS: of the
+ * @param {{periodS: number, environments?: number, isUnknown?: boolean}} of periodS: of the
  *   controller; isUnknown: the bodies to learn on are
  * @returns {Plan|null}
  */
@@ -64,12 +61,11 @@ function planOf(kind, request, { periodS, environments = ENVIRONMENTS, isUnknown
   const plan = { physics, precision: request.precision ?? 'float32', device: 'cpu', like: '',
     learning: null, isMost: false, isSure: listed.length > 0 };
   if (kind === 'evaluation') {
-    const designs = listed.length || (request.random?.count ?? 0);
-    const times = request.tolerance || request.error ? 5 : 1;
-    return designs ? { ...plan, isMost: Boolean(request.best || request.tolerance),
-      isSure: plan.isSure && !request.tolerance,
-      scoring: { rollouts: designs * environments * times, blocks: designs * times, springs } }
-      : null;
+    const { best, tolerance, error, random } = request;
+    const blocks = (listed.length || (random?.count ?? 0)) * (tolerance || error ? 5 : 1);
+    return blocks ? { ...plan, isMost: Boolean(best || tolerance),
+      isSure: plan.isSure && !tolerance,
+      scoring: { rollouts: blocks * environments, blocks, springs } } : null;
   }
   if (kind === 'training') {
     /** @type {typeof VALIDATION} */
@@ -83,9 +79,9 @@ function planOf(kind, request, { periodS, environments = ENVIRONMENTS, isUnknown
   }
   const { population, generations, replicates = 1 } = request;
   /** @type {any} */
-  const steps = CAMPAIGN_STEPS[request.mode] &&
-    { parent_steps: CAMPAIGN_STEPS[request.mode], child_steps: CAMPAIGN_STEPS[request.mode],
-      batch: population, ...request.learning };
+  const usual = CAMPAIGN_STEPS[request.mode];
+  const steps = usual &&
+    { parent_steps: usual, child_steps: usual, batch: population, ...request.learning };
   const designs = replicates * population * (1 + generations * (steps ? 2 : 1));
   const learned = steps ? replicates * steps.batch *
     (steps.child_steps + generations * (steps.parent_steps + steps.child_steps)) : 0;
@@ -121,7 +117,7 @@ function secondsOf(part, plan, work, rates) {
   const row = rates.find((one) => isLike(one, plan, work));
   if (!row) return null;
   const size = sizeOf({ ...row, steps: row.steps / row.rollouts }, plan.device);
-  return { n: row.rollouts, seconds: row.seconds / size *
+  return { rollouts: row.rollouts, seconds: row.seconds / size *
     sizeOf({ ...part, steps: plan.physics.n_steps }, plan.device) };
 }
 
@@ -134,26 +130,24 @@ function secondsOf(part, plan, work, rates) {
 function estimateOf(plan, rates, n) {
   if (!plan) return '';
   const { scoring, learning, device } = plan;
-  const parts = [learning && `${count(learning.rollouts)} gradients`,
-    scoring.rollouts && `${count(scoring.rollouts)} rollouts`].filter(Boolean);
-  const what = `${plan.isMost ? 'Up to ' : ''}${parts.join(' and ')}`;
+  const both = (gradients, rollouts) => [gradients && countOf(gradients.rollouts, 'gradient'),
+    rollouts?.rollouts && countOf(rollouts.rollouts, 'rollout')].filter(Boolean).join(' and ');
+  const what = `${plan.isMost ? 'Up to ' : ''}${both(learning, scoring)}`;
   if (!rates) return `${what}.`;
   const scored = secondsOf(scoring, plan, 'rollouts', rates);
   const own = learning && secondsOf(learning, plan, 'gradients', rates);
   const learned = own ?? (learning && scored &&
     secondsOf({ ...learning, rollouts: GRADIENT * learning.rollouts }, plan, 'rollouts', rates));
   if ((!scored && scoring.rollouts) || (learning && !learned)) {
-    return `${what}. Nothing like these was measured here yet, so the time is unknown.`;
+    return `${what}. Nothing like these was measured here yet.`;
   }
   const seconds = (scored?.seconds ?? 0) + (learned?.seconds ?? 0);
-  const unit = device === 'cpu' ? 'core-second' : 'device-second';
   const used = Math.min(n, scoring.blocks + (learning?.blocks ?? 0));
-  const basis = [own && countOf(own.n, 'gradient'), scored && countOf(scored.n, 'rollout'),
-  ].filter(Boolean).join(' and ');
+  const where = device === 'cpu' ? 'core' : 'device';
   return `${what}: ${plan.isSure && (own || !learning) ? 'about' : 'roughly'} ` +
-    `${countOf(Number(seconds.toPrecision(2)), unit)}, ${duration(seconds / used)} here if ` +
-    `nothing else runs. Based on ${basis} like these since the service started` +
-    `${learning && !own ? '; no gradients yet' : ''}.`;
+    `${countOf(Number(seconds.toPrecision(2)), `${where}-second`)}, ${duration(seconds / used)} ` +
+    `here if nothing else runs. Based on ${both(own, scored)} like these since the service ` +
+    `started${learning && !own ? '; no gradients yet' : ''}.`;
 }
 
 /** The line of a form that says what its request will take. */
@@ -190,10 +184,13 @@ export class Estimate {
     const periodS = named === null ? randomPeriodS(request.preset === 'paper')
       : controllers.find(({ name, sha256 }) => [name, `sha256:${sha256}`].includes(named))
         ?.control_period_s ?? 0;
-    this.plan = planOf(this.kind, request, { isUnknown: false, ...of, periodS });
+    this.plan = planOf(this.kind, request, { ...of, periodS });
     const { plan } = this;
     if (plan) {
-      plan.device = this.deviceOf(request, plan);
+      const { device = 'auto' } = request;
+      const suits = this.kind !== 'evaluation' ||
+        (plan.precision === 'float32' && plan.scoring.rollouts >= DEVICE_ROLLOUTS);
+      if (device === 'cuda' || (device === 'auto' && this.devices && suits)) plan.device = 'cuda';
       plan.like = likeOf({ ...plan.physics, ...plan });
     }
     this.write();
@@ -204,12 +201,6 @@ export class Estimate {
       this.rates = rates;
       if (like === this.like) this.write();
     }).catch(() => {}); // the number of rollouts is still shown
-  }
-
-  deviceOf({ device = 'auto' }, { precision, scoring }) {
-    const suits = this.kind !== 'evaluation' ||
-      (precision === 'float32' && scoring.rollouts >= DEVICE_ROLLOUTS);
-    return device === 'cuda' || (device === 'auto' && this.devices > 0 && suits) ? 'cuda' : 'cpu';
   }
 
   write() {
