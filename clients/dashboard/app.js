@@ -236,7 +236,7 @@ class Frame {
     this.main = h('main', { id: 'main', tabindex: -1 });
     const theme = button('', () => chooseTheme(app.theme === 'dark' ? 'light' : 'dark'));
     const nameTheme = () => {
-      theme.textContent = `Switch to ${app.theme === 'dark' ? 'light' : 'dark'}`;
+      theme.textContent = app.theme === 'dark' ? 'Light theme' : 'Dark theme';
     };
     app.themeListeners.add(nameTheme);
     nameTheme();

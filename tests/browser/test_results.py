@@ -39,7 +39,7 @@ def test_a_suite_has_a_picture_and_a_table(service, browser):
     asked = "performance.getEntriesByType('resource').map((one) => one.name)" \
             ".filter((name) => name.includes('picture.svg'))"
     assert "theme=light" in browser.run(f"return {asked}.at(-1)")
-    browser.click("Switch to dark")
+    browser.click("Dark theme")
     browser.until(f"{asked}.at(-1).includes('theme=dark')")
     browser.run("document.querySelectorAll('.pick .card')[7].click()")
     browser.until(f"{asked}.at(-1).includes('designs={order[7]}')")
