@@ -317,10 +317,10 @@ bool mo_compute_lacks_takers(const struct mo_compute *compute, enum mo_back_end 
 /* Blocks with MO_ON_DEVICE wait in one queue for all devices, in which shares have the same weights
  * as for workers. A device takes many blocks at once, all of one share, one controller and one
  * physics; fewer if it lacks memory. MO_INTERACTIVE blocks go first. The workers compute what
- * devices cannot: blocks in float64, with recordings or with measures, and blocks that the module
- * does not support. The choice depends only on the block, and `computed_on` reports it. A device
- * that fails is lost, and its work moves to the other devices. If no device is left, all queued and
- * later work fails with MO_ERR_DEVICE. */
+ * devices cannot: blocks in float64 or with recordings, and blocks that the module does not
+ * support. The choice depends only on the block, and `computed_on` reports it. A device that fails
+ * is lost, and its work moves to the other devices. If no device is left, all queued and later work
+ * fails with MO_ERR_DEVICE. */
 enum mo_device_state { MO_DEVICE_WORKS = 0, MO_DEVICE_LOST = 1 };
 
 struct mo_device_status {

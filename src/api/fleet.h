@@ -6,10 +6,7 @@
 #include "fleet/fleet.h"
 #include "jobs/verification.h"
 
-/* Raised with every change of the wire format. Workers of any version of the program may join if
- * they use this protocol and compute the same bits. */
-#define MO_FLEET_PROTOCOL 4
-#define MO_FLEET_WAIT_S   30 /* longest wait for leases or orders */
+#define MO_FLEET_WAIT_S 30 /* longest wait for leases or orders */
 
 /* Writes an object for each loss of a row that differs from the recomputed loss. */
 void mo_json_differences(struct mo_text *text, const struct mo_origin_row *row);

@@ -7,7 +7,7 @@
  * hold the controller's outputs through control periods, and some use the integrator `split`. The
  * robots of the gradients stand on the ground, so that few steps have contacts. They fill one CPU
  * block and part of another. Environments have an objective of each kind, and some a terrain
- * profile or damage. On processors, all measures of the rollouts count as well. */
+ * profile or damage. All measures of the rollouts count as well. */
 #include <float.h>
 #include <math.h>
 #include <stdlib.h>
@@ -55,11 +55,12 @@ static struct mo_physics physics_of(uint32_t body)
   return physics;
 }
 
-/* Gives an environment an objective that devices do not compute: in each body, a lane has each of
- * them, and two have a sum. */
-static void set_objective(uint32_t lane, struct mo_task *task)
+/* Gives an environment an objective that needs a tally: in each body, a lane has each of them, and
+ * two have a sum. Devices do not differentiate these, which are then beyond the robots' lanes. */
+static void set_objective(uint32_t lane, enum mo_back_end back_end, struct mo_task *task)
 {
-  if (lane == 2)
+  const uint32_t sum = back_end == MO_ON_CPU ? 2 : 5, efficient = back_end == MO_ON_CPU ? 4 : 9;
+  if (lane == sum)
     *task = (struct mo_task){.objective = MO_OBJECTIVE_SUM,
                              .n_terms = 4,
                              .terms = {MO_OBJECTIVE_EFFICIENT, MO_OBJECTIVE_JUMP,
@@ -72,8 +73,8 @@ static void set_objective(uint32_t lane, struct mo_task *task)
                              .terms = {MO_OBJECTIVE_REACH, MO_TERM_MEASURE + MO_MEASURE_TILT,
                                        MO_TERM_MEASURE + MO_MEASURE_PEAK_STRAIN},
                              .weights = {1, -0.1, -1}};
-  if (lane == 4 || lane == 8)
-    task->objective = lane == 4 ? MO_OBJECTIVE_EFFICIENT : MO_OBJECTIVE_JUMP;
+  if (lane == efficient || lane == 8)
+    task->objective = lane == efficient ? MO_OBJECTIVE_EFFICIENT : MO_OBJECTIVE_JUMP;
 }
 
 /* Gives an environment a task: in each body, the last lanes have one of each kind of guide. Every
@@ -90,8 +91,7 @@ static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environ
   }
   if (lane % 4 == 3)
     environment->damage = (struct mo_damage){1 + lane % MO_OCTANTS, 0.1};
-  if (back_end == MO_ON_CPU)
-    set_objective(lane, &environment->task);
+  set_objective(lane, back_end, &environment->task);
 }
 
 /* Turns a grid of 8 × 8 heights into one of 16 × 4. */
@@ -127,8 +127,7 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
                                .urgency = MO_INTERACTIVE, /* not given to remote takers */
                                .back_end = back_end};
     canary->measuring[b] = (struct mo_measuring){MO_MEASURES_ALL, canary->measures[b]};
-    if (back_end == MO_ON_CPU) /* devices do not compute measures */
-      block->measuring = &canary->measuring[b];
+    block->measuring = &canary->measuring[b];
     for (uint32_t e = 0; e < MO_BLOCK_LANES && error == MO_OK; e++) {
       mo_environment_training(SEED, b, e, &canary->environments[b][e]);
       set_task(e, back_end, &canary->environments[b][e]);
@@ -211,9 +210,9 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
 
 /* ---- both ---- */
 
-/* The canary's version is part of the protocol (MO_PROTOCOL): raise it with each change, so that
- * workers with another canary are refused as of another version, and not for wrong bits. */
-static void read_bits(struct canary *canary, enum mo_back_end back_end, struct mo_sha256 *hash)
+/* The canary's version is part of the protocol (MO_FLEET_PROTOCOL): raise it with each change, so
+ * that workers with another canary are refused as of another version, and not for wrong bits. */
+static void read_bits(struct canary *canary, struct mo_sha256 *hash)
 {
   struct mo_sha256 parts[2];
   struct {
@@ -230,7 +229,7 @@ static void read_bits(struct canary *canary, enum mo_back_end back_end, struct m
     }
   mo_sha256_of(rows, sizeof(rows), &parts[0]);
   mo_sha256_of(canary->measures, sizeof(canary->measures), &parts[1]);
-  mo_sha256_of(parts, (back_end == MO_ON_CPU ? 2 : 1) * sizeof(*parts), hash);
+  mo_sha256_of(parts, sizeof(parts), hash);
 }
 
 int mo_fleet_canary(struct mo_compute *compute, enum mo_back_end back_end, struct mo_sha256 *hash)
@@ -245,7 +244,7 @@ int mo_fleet_canary(struct mo_compute *compute, enum mo_back_end back_end, struc
   if (error == MO_OK)
     error = differentiate(canary, compute, back_end, &parts[1]);
   if (error == MO_OK) {
-    read_bits(canary, back_end, &parts[0]);
+    read_bits(canary, &parts[0]);
     mo_sha256_of(parts, sizeof(parts), hash);
   }
   mo_compute_controller_free(canary->prepared);

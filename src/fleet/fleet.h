@@ -12,6 +12,10 @@
 
 #include "fleet/source.h"
 
+/* Raised with every change of the messages, the wire format or the canary. Workers of any version
+ * of the program may join if they use this protocol and compute the same bits. */
+#define MO_FLEET_PROTOCOL 5
+
 #define MO_FLEET_SESSIONS_MAX 4096
 #define MO_FLEET_TOKEN_MAX    2048 /* sessions opened with one token */
 #define MO_FLEET_NAME_BYTES   64   /* name of a session or host, without NUL */

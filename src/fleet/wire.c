@@ -45,8 +45,8 @@ static bool counts_fit(uint32_t n_environments, uint32_t n_blocks, uint32_t n_ro
 /* Limits of a lease with measures, also for both. */
 static bool measures_fit(const struct mo_wire_lease *lease)
 {
-  return !lease->has_measures || (lease->n_rows <= MO_WIRE_MEASURED_MAX &&
-                                  lease->n_parameters == 0 && lease->back_end == MO_ON_CPU);
+  return !lease->has_measures ||
+         (lease->n_rows <= MO_WIRE_MEASURED_MAX && lease->n_parameters == 0);
 }
 
 /* Limits of a gradient, also for both. Robots are blocks of one environment. */
@@ -269,7 +269,7 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, unsigned *
   lease->n_rows = head.n_rows;
   lease->has_measures = (head.flags & MEASURES) != 0;
   if ((head.flags & UINT8_MAX) > (ON_DEVICE | GRADIENT | MEASURES) || zero != 0 ||
-      (lease->has_measures && (head.flags & (ON_DEVICE | GRADIENT)) != 0) ||
+      (lease->has_measures && (head.flags & GRADIENT) != 0) ||
       (gradient != 1 && (head.flags & GRADIENT) == 0) ||
       mo_physics_version(&lease->physics) != physics)
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);

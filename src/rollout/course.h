@@ -25,8 +25,8 @@ struct mo_tally {
   uint32_t n_heights; /* jump: number of these instants */
 };
 
-/* The state of a task at an instant. Devices compute no task that has a tally, but share the
- * layout: the host makes their first states. */
+/* The state of a task at an instant. Devices share the layout: the host makes their first states,
+ * and the results of tasks that have a tally. */
 struct mo_track {
   double com_m[3];
   double sum;       /* over the periods that have ended: way, or distances */

@@ -26,7 +26,7 @@ static void put_class(const struct mo_fleet_offer *offer, enum mo_back_end back_
 void mo_protocol_put_offer(const struct mo_fleet_offer *offer, struct mo_text *text)
 {
   mo_text_object(text);
-  mo_text_member_count(text, "protocol", MO_PROTOCOL);
+  mo_text_member_count(text, "protocol", MO_FLEET_PROTOCOL);
   mo_text_member(text, "name", offer->name);
   mo_text_member(text, "host", offer->host);
   mo_text_member(text, "version", offer->version);

@@ -5,8 +5,6 @@
 #include "base/text.h"
 #include "fleet/fleet.h"
 
-#define MO_PROTOCOL 4
-
 /* Writes the request that opens a session. */
 void mo_protocol_put_offer(const struct mo_fleet_offer *offer, struct mo_text *text);
 

@@ -195,8 +195,6 @@ def test_the_batch_of_a_study_is_bounded(service):
 @pytest.mark.parametrize("more, pointer, words", [
     ({"measures": ["speed"]}, "/measures/0", "\"displacement_m\", \"path_length_m\""),
     ({"measures": []}, "/measures", "at least one"),
-    ({"measures": True, "device": "cuda"}, "/measures", "request \"cpu\" or \"auto\""),
-    ({"select_by": FAR, "device": "cuda"}, "/select_by", "request \"cpu\" or \"auto\""),
     ({"select_by": {"measure": "speed", "direction": "max"}}, "/select_by/measure", "work_j"),
     ({"select_by": {"measure": "work_j"}}, "/select_by", "direction is missing"),
     ({"select_by": {"direction": "max"}}, "/select_by", "measure is missing"),

@@ -386,6 +386,9 @@ def test_only_workers_have_devices(cluster, start, undisturbed, tmp_path):
     assert run(service, "evaluations", {**LARGE, "physics": {"n_steps": 3}})["device"] == "cpu"
     done = run(service, "evaluations", {**LARGE, "device": "cuda"})
     assert done["state"] == "succeeded" and done["device"] == "cuda"
+    measured = run(service, "evaluations", {**LARGE, "device": "cuda", "measures": ["work_j"]})
+    assert measured["state"] == "succeeded" and measured["device"] == "cuda"
+    assert all(result["measures"]["work_j"] > 0 for result in measured["results"])
     design = service.get(f"/v1/designs/{done['results'][0]['id']}")
     by_device, = [score for score in design["orientations"][0]["scores"]
                   if score["fingerprint"] == "fake float32 score-1 sm90"]

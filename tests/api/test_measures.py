@@ -178,7 +178,6 @@ def test_flags(service):
     ({"measures": []}, "/measures", "at least one"),
     ({"measures": "all"}, "/measures", "must be true, for all measures, or an array of names"),
     ({"measures": None}, "/measures", "must be true"),
-    ({"measures": True, "device": "cuda"}, "/measures", "request \"cpu\" or \"auto\""),
     ({"measures": True, "verify": True}, "/measures", "cannot be combined with verify")])
 def test_refusals(service, more, pointer, words):
     reply = service.request("POST", "/v1/evaluations", REQUEST | more)

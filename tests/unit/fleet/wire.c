@@ -320,6 +320,8 @@ static void measures(void)
   CHECK_SAYS(why, "must have 20 measures for each row, got 19");
   free(bytes);
   sent.bytes[HEADER + 16] |= 1; /* on a device */
+  CHECK_OK(decode(&sent, sent.size, &why));
+  sent.bytes[HEADER + 16] |= 2; /* a gradient */
   CHECK_INT(decode(&sent, sent.size, &why), MO_ERR_FORMAT);
   CHECK_SAYS(why, "unknown flags");
   mo_wire_free_leases(&leases);
