@@ -68,7 +68,7 @@ for (const robot of stage.robots) {
   if (playing && before !== undefined) stage.timeS += Math.min((now - before) / 1000, 0.25);
   if (stage.timeS > stage.durationS() + 1) stage.timeS = 0;
   before = now;
-  const { leaders = [], everyS } = DATA;
+  const { leaders, everyS } = DATA;
   const frame = Math.min(Math.floor(stage.timeS / everyS), leaders.length - 1);
   stage.leader = stage.robots[leaders[frame]];
   stage.draw();
@@ -108,9 +108,11 @@ export async function toPage(robots, title, isRace = false, areGhosts = false) {
   const load = async (name) => (await fetch(new URL(name, base))).text();
   const sources = await Promise.all(MODULES.map(load));
   const worlds = [...new Set(robots.map((robot) => robot.world))];
-  const [{ driven, frames: longest, frameS: everyS }] = robots; // driven robots have no order
-  const race = driven ? null : raceOf(robots);
-  const leaders = Array.from({ length: race ? longest : 0 }, (_, frame) =>
+  const [{ driven, frameS: everyS }] = robots;
+  // Only among ghosts does the leader look different; driven robots have no order.
+  const race = areGhosts && !driven && raceOf(robots);
+  const n = Math.max(...robots.map(({ frames }) => frames));
+  const leaders = Array.from({ length: race ? n : 0 }, (_, frame) =>
     robots.indexOf(orderAt(race, frame * everyS)[0].robot));
   const data = {
     isRace, areGhosts, leaders, everyS,

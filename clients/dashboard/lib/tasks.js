@@ -43,10 +43,13 @@ export const TASKS = [
 /** A path has at most this many way-points, each this close to the origin: bounds of the API. */
 export const POINTS_MAX = 16;
 const FAR_M = 1000;
+/** Number('') is 0, and Number('0x3') is 3. */
+const DECIMAL = /^-?\d+(\.\d+)?$/;
 
 /** Reads way-points, as x_y,x_y in links; null: they are invalid. @param {string} text */
 export function pointsIn(text) {
-  const points = text.split(',').map((point) => point.split('_').map(Number));
+  const points = text.split(',').map((point) => point.split('_')
+    .map((value) => (DECIMAL.test(value) ? Number(value) : NaN)));
   return points.length <= POINTS_MAX && points.every((point) =>
     point.length === 2 && point.every((value) => Math.abs(value) <= FAR_M)) ? points : null;
 }
@@ -71,7 +74,7 @@ export function taskOf(name) {
 
 /** What only training runs offer first. */
 export const ANY_LIGHT = { name: 'random', title: 'Reach the light',
-  about: 'Go to lights that stand still, on random terrains', environments: undefined };
+  about: 'Go to lights that stand still', environments: undefined };
 
 /** All tasks of the suite, which only evaluations are in. */
 export const SUITE = { name: 'morpho-12', title: 'All twelve tasks',
@@ -117,7 +120,7 @@ export function scoreWords(environments = [{}], kind) {
   const isLoss = kind === 'training' || (kind === 'campaign' && objective === 'efficient');
   const words = isLoss || others.length ? undefined : SCORES[objective];
   return words ? `Score: ${words}; ${betterOf(words.startsWith('meters') ? 'm' : '')}`
-    : `Loss: 1 if it does nothing; ${betterOf('')}`;
+    : `Loss: ${objective === 'pursue' ? 'more than ' : ''}1 if it stands still; ${betterOf('')}`;
 }
 
 /** Values of objectives that are measured in meters, from losses: −scale · ln(loss). */

@@ -1,10 +1,9 @@
 /** What was driven, as recordings that the stage plays and exports, and the path of the light. */
 
+import { POINTS_MAX } from '../lib/tasks.js';
 import { repeat } from './live.js';
 import { heightAt } from './math.js';
 
-/** The path of a task has at most this many points. */
-const POINTS_MAX = 16;
 /** A path leaves out points that are this close to it. */
 const CLOSE_M = 0.05;
 
@@ -65,13 +64,18 @@ export function pathOf(drive) {
     const last = points.at(-1);
     if (!last || last[0] !== x || last[1] !== y) points.push([x, y]);
   }
-  let close = CLOSE_M;
-  let path = simplified(points, close);
-  while (path.length > POINTS_MAX) {
-    close *= 1.25;
-    path = simplified(points, close);
-  }
-  return path.map((point) => point.map((value) => Math.round(value * 100) / 100));
+  return inFew(points, POINTS_MAX).path
+    .map((point) => point.map((value) => Math.round(value * 100) / 100));
+}
+
+/**
+ * Returns a path with at most this many points, and whether it is coarser than usual, because it
+ * would have more.
+ */
+export function inFew(points, most, close = CLOSE_M) {
+  const path = simplified(points, close);
+  return path.length > most ? inFew(points, most, close * 1.25)
+    : { path, isCoarse: close > CLOSE_M };
 }
 
 /** Leaves out points that are closer than this to the line between the others (Ramer, Douglas and

@@ -85,7 +85,7 @@ export function lanesOf(all, max, areGhosts = false) {
         cover(track[at], track[at + 1]);
         if (track[at + 2] < 3) top = Math.max(top, track[at + 2]);
       }
-      if (robot.lights) cover(...lampOf(robot, frame, true));
+      if (robot.lights) cover(...lampOf(robot, frame, !areGhosts));
     }
   }
   for (const [x, y] of first.world.points ?? []) cover(x, y);

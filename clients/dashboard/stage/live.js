@@ -5,7 +5,7 @@
 
 import { uploadFrames } from './robot.js';
 
-/** Frames that a robot has room for. A drive computes at most 2.4 s ahead, about 120 frames. */
+/** Frames that a robot has room for. A drive computes at most 2.4 s ahead, about 60 frames. */
 const ROWS = 256;
 
 export class Live {

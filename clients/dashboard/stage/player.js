@@ -146,8 +146,9 @@ export class Player {
         'drawn next to each other. A light that leads the way is drawn close to its robot.',
     });
     this.ghostsToggle = button('Ghosts', () => this.setSide(false, true), {
-      'aria-pressed': 'false', title: 'All robots start at the same place on one ground, ' +
-        'see-through, except the one that you point at or follow, or else the leader.',
+      'aria-pressed': 'false', title: 'All robots start at the same place on one ground. ' +
+        'One is solid: the robot you point at, or the one the camera follows, or the leader. ' +
+        'The others are see-through.',
     });
     this.springsToggle = flag('Springs', 'springs');
     this.actuationToggle = flag('Actuation', 'actuation');
@@ -276,7 +277,7 @@ export class Player {
 
   #hover({ offsetX, offsetY, buttons }) {
     const { stage } = this;
-    if (!stage.solid() || buttons) return;
+    if (!stage.drawn || !stage.solid() || buttons) return;
     let [nearest, pointed] = [HOVER_PX, null];
     for (const robot of stage.robots) {
       const place = stage.placeOf(robot);

@@ -463,7 +463,7 @@ export class Stage {
 
   /** Where the light of a robot is drawn now. */
   #lightOf(robot, world) {
-    return robot ? lampOf(robot, this.frameOf(robot), Boolean(this.lanes()))
+    return robot ? lampOf(robot, this.frameOf(robot), Boolean(this.lanes()?.lane))
       : [...world.light, heightAt(world, world.light[0], world.light[1]) + 0.06];
   }
 

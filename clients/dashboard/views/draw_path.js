@@ -4,19 +4,17 @@ import { button, h, say, svg } from '../lib/dom.js';
 import { countOf } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { POINTS_MAX, drawnTask } from '../lib/tasks.js';
-import { simplified } from '../stage/driven.js';
+import { inFew } from '../stage/driven.js';
 import { startDialog } from './forms.js';
 import { announced } from './share.js';
 
 /** The ground that is shown, in meters, and where robots start on it. */
 const SIDE_M = 5;
 const START_M = [2.5, 2.5];
-/** A stroke that is shorter is a click. */
+/** A stroke that stays this close to where it began is a click. */
 const CLICK_M = 0.12;
-/** Way-points are left out where the path changes by less than this. */
-const CLOSE_M = 0.05;
 const STEP_M = 0.1;
-const BOUNDS = `a path has 1 to ${POINTS_MAX} way-points.`;
+const BOUND = `a path has at most ${POINTS_MAX}`;
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 const HELP = 'Ground of 5 × 5 m from above. Drag to draw a path from the robot, or click to add ' +
   'a way-point. Keys: the arrows move the cross, Enter adds a way-point there.';
@@ -29,78 +27,85 @@ const onGround = (value) => Math.round(100 * Math.min(SIDE_M, Math.max(0, value)
  * Returns the ground to draw on.
  * @param {import('../app.js').app} app
  * @param {number[][]} points the way-points at first
- * @param {function(number[][]): void} onchange gets them after each change: 1 to 16
+ * @param {function(number[][]): any} onchange gets them after each change: 1 to 16
+ * @param {boolean} [canRemove] whether the path can be removed; then onchange gets [], too
  */
-export function pathPad(app, points, onchange) {
+export function pathPad(app, points, onchange, canRemove = false) {
   let cursor = points.at(-1) ?? START_M;
   let stroke = null;
   const placeOf = ({ clientX, clientY }) => {
     const { left, bottom, width } = ground.getBoundingClientRect();
     return [clientX - left, bottom - clientY].map((value) => onGround((value / width) * SIDE_M));
   };
+  /** Returns a handler for the pointer that draws the stroke, if any. */
+  const drawing = (work) => (event) => {
+    if (!stroke || !event.isPrimary) return;
+    work(event);
+    draw();
+  };
   const ground = svg('svg', {
     viewBox: '0 -5 5 5', class: 'ground-map', tabindex: 0, role: 'application', 'aria-label': HELP,
     onpointerdown: (event) => {
+      if (event.button || !event.isPrimary) return;
       ground.setPointerCapture(event.pointerId);
       stroke = [START_M, placeOf(event)];
     },
-    onpointermove: (event) => {
-      stroke?.push(placeOf(event));
-      draw();
-    },
-    onpointerup: end,
-    onpointercancel: () => { stroke = null; },
+    onpointermove: drawing((event) => stroke.push(placeOf(event))),
+    onpointerup: drawing(end),
+    onpointercancel: drawing(() => { stroke = null; }),
     onkeydown: (event) => {
       const direction = KEYS[event.key];
       if (!direction && event.key !== 'Enter') return;
       event.preventDefault();
       if (!direction) {
-        set([...points, cursor]);
+        add(cursor);
         return;
       }
       cursor = cursor.map((value, axis) => onGround(value + STEP_M * direction[axis]));
-      show(`Cross at x ${cursor[0]} m, y ${cursor[1]} m.`);
+      show(`x ${cursor[0]} m, y ${cursor[1]} m`);
     },
   });
   const status = h('p', { role: 'status' });
   const undo = button('Remove last', () => set(points.slice(0, -1)));
+  const remove = button('Remove the path', () => set([]), { hidden: !canRemove });
   const evolve = button('Evolve for this task', () => announced(() =>
     startDialog(app, 'campaign', {}, {}, { world: drawnTask(points) })),
   { hidden: !may('submit') });
 
   /** A click adds a way-point; a longer stroke is a new path. */
   function end() {
-    const drawn = stroke;
+    const [, [x, y]] = stroke;
+    const isClick = stroke.slice(1).every((at) => Math.hypot(at[0] - x, at[1] - y) < CLICK_M);
+    const { path, isCoarse } = inFew(stroke, POINTS_MAX + 1);
     stroke = null;
-    if (lengthOf(drawn.slice(1)) < CLICK_M) {
-      set([...points, drawn[1]]);
-      return;
-    }
-    const pathAt = (close) => simplified(drawn, close).slice(1);
-    let [close, path] = [CLOSE_M, pathAt(CLOSE_M)];
-    while (path.length > POINTS_MAX) path = pathAt(close *= 1.25);
-    set(path, close > CLOSE_M ? `Simplified: ${BOUNDS}` : '');
+    if (isClick) add([x, y]);
+    else set(path.slice(1), isCoarse ? `Simplified: ${BOUND} way-points. ` : '');
+  }
+
+  function add(point) {
+    const why = points.length === POINTS_MAX ? BOUND
+      : `${point}` === `${points.at(-1) ?? START_M}` ? 'the path already ends there' : '';
+    if (why) show(`No way-point was added: ${why}.`);
+    else set([...points, point]);
   }
 
   function set(all, words = '') {
-    if (all.length > POINTS_MAX) {
-      show(`No way-point was added: ${BOUNDS}`);
-      return;
-    }
     points = all;
-    cursor = points.at(-1);
-    show(words);
+    cursor = points.at(-1) ?? START_M;
+    show(words + about());
     onchange(points);
   }
 
-  /** Shows the path, what it is, and what has happened. */
-  function show(words) {
-    const n = points.length;
-    undo.disabled = n < 2;
-    evolve.disabled = !n;
-    say(status, n ? `${words} This path has ${countOf(n, 'way-point')} and is ` +
+  const about = () => (points.length
+    ? `This path has ${countOf(points.length, 'way-point')} and is ` +
       `${lengthOf([START_M, ...points]).toFixed(1)} m long; most robots walk 1 to 2 m in 4 s.`
-      : words || `No way-point yet: ${BOUNDS}`);
+    : `No way-point yet: ${BOUND}.`);
+
+  /** Shows the path, and what has happened. */
+  function show(words) {
+    undo.disabled = points.length < 2;
+    remove.disabled = evolve.disabled = !points.length;
+    say(status, words);
     draw();
   }
 
@@ -113,7 +118,7 @@ export function pathPad(app, points, onchange) {
       dot('start', START_M), path('cross', `M${cursor[0] - 0.15} ${-cursor[1]}h.3m-.15-.15v.3`));
   }
 
-  show('');
+  show(about());
   return h('div.draw', {}, ground,
-    h('div.stack', {}, h('p.muted', {}, HELP), status, h('div.row', {}, undo, evolve)));
+    h('div.stack', {}, h('p.muted', {}, HELP), status, h('div.row', {}, undo, remove, evolve)));
 }

@@ -6,6 +6,7 @@ import { button, h } from '../lib/dom.js';
 import { commandsOf, pythonOf } from '../lib/commands.js';
 import { shellWord } from '../lib/format.js';
 import { requested } from '../lib/rollouts.js';
+import { pointsText } from '../lib/tasks.js';
 import { toScene } from '../export/scene.js';
 import { drivenRobots, pathOf } from '../stage/driven.js';
 import { commandSections, exportDialog, save } from './share.js';
@@ -45,7 +46,7 @@ function taskSection({ drive, player }, how) {
   const link = withQuery('#/stage', {
     designs: [...new Set(robots.map(nameOf))].join(','), world, set: world ? null : set,
     environment: number, controller: controllers.join() === 'default' ? null : controllers.join(),
-    path: points.map((point) => point.join('_')).join(','),
+    path: pointsText(points),
   });
   const commandsWith = (controller) => {
     const own = robots.filter((robot) => (robot.controller ?? how.controller) === controller);

@@ -35,14 +35,15 @@ const MORE = {
 export const fieldNames = (kind) => [...FIRST[kind], ...MORE[kind]];
 
 /** Members of a request that arguments stand for, besides the fields. */
-const ARGUMENTS = ['designs', 'initial', 'environments', 'population', 'kind', 'mode'];
+const ARGUMENTS = ['designs', 'initial', 'environments', 'tasks', 'population', 'kind', 'mode'];
 
 /** Returns the arguments of morphoctl that send a request, whose options have the names of the
  * fields; null if it has no option for a member. */
 function morphoctlOf(kind, request, learnedOn) {
   const known = [...fieldNames(kind), ...ARGUMENTS];
   if (Object.keys(request).some((name) => !known.includes(name)) || request.initial?.campaign ||
-    typeof request.selection === 'object') return null;
+    typeof request.selection === 'object' ||
+    typeof request.tasks?.[0] === 'object') return null;
   const words = {
     evaluation: () => ['eval'], training: () => ['train', 'start', request.kind],
     campaign: () => ['campaign', 'start', request.mode],
@@ -51,7 +52,8 @@ function morphoctlOf(kind, request, learnedOn) {
     if (request[name] === undefined || ['kind', 'mode'].includes(name)) continue;
     words.push(`--${name}`, String(request[name]));
   }
-  const { environments } = request;
+  const { environments, tasks } = request;
+  if (tasks) words.push('--tasks', tasks.join());
   if (isSuite(environments)) words.splice(0, 1, 'suite', 'run');
   else if (typeof environments === 'string') words.push('--environments', environments);
   else if (environments) words.push('--environments', '-');
@@ -110,8 +112,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {
       if (value !== '') result[name] = isNumber ? Number(value) : value;
     }
     if (designs) result.designs = designsIn(designs.value);
-    if (tasks?.environments) result.environments = tasks.environments;
-    return result;
+    return { ...result, ...tasks?.request };
   }
 
   /** Sends the request; shows errors at their fields, or below all fields. */

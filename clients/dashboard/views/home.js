@@ -8,7 +8,7 @@ import { countOf, score, voxels } from '../lib/format.js';
 import { nameOf, shortOf } from '../lib/names.js';
 import { may } from '../lib/rights.js';
 import { roll, scoresOf, worldsOf } from '../lib/rollouts.js';
-import { TASKS, betterOf, resultOf, wayOf, worldWords } from '../lib/tasks.js';
+import { TASKS, betterOf, pointsText, resultOf, wayOf, worldWords } from '../lib/tasks.js';
 import { Player } from '../stage/player.js';
 
 /** The world of the task in which the robot walks here, if there are so many. */
@@ -98,12 +98,13 @@ export async function mount(main, path, parameters, app) {
     shown = robot;
     better.hidden = true;
     describe(robot, origin, scored);
-    staged.href = `#/stage?designs=${robots.join(',')}` +
-      `&environment=${task.set ? place : SHOWN}` + (isPhoto || !task.set ? '' : `&set=${task.set}`);
+    staged.href = withQuery('#/stage', { designs: robots.join(','),
+      environment: task.set ? place : SHOWN, set: isPhoto ? null : task.set,
+      path: task.points && pointsText(task.points) });
     fill(staged, h('strong', {}, 'Watch the best'), h('span', {},
       robots.length === 1 ? 'On a full-page stage.'
         : `The ${COUNTS[robots.length]} best, side by side or racing, on a full-page stage.`,
-      task.set ? null : ' There they reach for a light: this task has no fixed set of worlds.'));
+      task.set || task.points ? null : ' There they reach for a light: this task has no fixed set of worlds.'));
     const design = { id: robot };
     const computed = roll([design], environments[place], { signal });
     computed.catch(() => {}); // awaited below

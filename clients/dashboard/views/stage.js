@@ -15,7 +15,7 @@ import { POINTS_MAX, pointsIn, pointsText } from '../lib/tasks.js';
 import { trayButton } from './add.js';
 import { Driving } from './drive.js';
 import { breedButton } from './forms.js';
-import { copyDialog, exportDialog, filmCommand, filmOf, formDialog } from './share.js';
+import { announced, copyDialog, exportDialog, filmCommand, filmOf, formDialog } from './share.js';
 
 /** Maximum number of robots that walk at once. */
 const ROBOTS_MAX = 256;
@@ -91,10 +91,11 @@ export async function mount(main, path, parameters, app) {
   const ground = h('div.panel', { id: 'draw', popover: true, onbeforetoggle: async (event) => {
     if (event.newState !== 'open') return;
     const { pathPad } = await import('./draw_path.js');
-    fill(ground, pathPad(app, pointsIn(source.link().path ?? '') ?? [], async (points) => {
-      fill(words, await source.follow(points));
-      load();
-    }));
+    fill(ground, pathPad(app, pointsIn(source.link().path ?? '') ?? [], (points) =>
+      announced(async () => {
+        fill(words, await source.follow(points));
+        load();
+      }), true));
   } });
   player.toggleRow.append(choose, ...(robots ? [robots] : []), keep, breed,
     ...(source.follow ? [button('Draw a path', () => {}, { popovertarget: 'draw' }), ground] : []),
@@ -137,9 +138,8 @@ function checkView(parameters, { n, nRobots: count }) {
 
 /** The world in a link: that of a job, or a set of environments, and a path of the light, if
  * any. */
-async function worldIn(parameters) {
+async function worldIn(parameters, path = parameters.get('path')) {
   const world = await placesIn(parameters);
-  const path = parameters.get('path');
   if (!path) return world;
   const points = pointsIn(path);
   if (!points) {
@@ -225,8 +225,10 @@ async function rollouts(parameters) {
     }),
     founders: () => ids.map(designOf),
     async follow(points) {
-      parameters.set('path', pointsText(points));
-      return Object.assign(world, await worldIn(parameters)).words;
+      const path = pointsText(points);
+      Object.assign(world, await worldIn(parameters, path));
+      parameters.set('path', path);
+      return world.words;
     },
     driven: (environment) => ({
       environment: world.environments[environment], number: environment, controller: controllers[0],

@@ -14,6 +14,7 @@ export class TaskChoice {
    */
   constructor(tasks, onChange, chosen = tasks[0], kind = '') {
     this.chosen = chosen;
+    this.kind = kind;
     this.element = h('fieldset.tasks.wide', {}, h('legend', {}, 'Task'), tasks.map((task) => {
       const shown = task.shown ?? task.environments;
       return h('label.task', {}, h('input', {
@@ -23,12 +24,21 @@ export class TaskChoice {
           onChange();
         },
       }), taskPicture(shown), h('strong', {}, task.title),
-      h('span.muted', {}, `${task.about}. ${scoreWords(shown, kind)}.`));
+      h('span.muted', {}, `${task.about}. ` +
+        `${this.#isRandom(task) ? 'Ground: random terrains. ' : ''}${scoreWords(shown, kind)}.`));
     }));
   }
 
-  get environments() {
-    return this.chosen.environments;
+  /** Training runs learn on random terrains, except for tasks that need their own ground. */
+  #isRandom({ name }) {
+    return this.kind === 'training' && name !== 'climb';
+  }
+
+  /** The member of a request that asks for the task. */
+  get request() {
+    const { environments } = this.chosen;
+    return this.#isRandom(this.chosen) && environments ? { tasks: [environments[0].task] }
+      : { environments };
   }
 
   /** How many environments these are; undefined: the default set. */
@@ -36,6 +46,9 @@ export class TaskChoice {
     return this.chosen.count ?? this.chosen.environments?.length;
   }
 }
+
+/** The path that was drawn last: it stays when another task is chosen. */
+let points = [];
 
 /**
  * Fills the menu of the bar: cards, and a path to draw.
@@ -45,17 +58,26 @@ export class TaskChoice {
  */
 export function fillTasks(element, app, choose) {
   const { task } = app;
-  const own = { ...drawnTask(task.points ?? [[3.1, 2.9], [3.6, 2.4], [4.2, 3]]), name: 'draw',
-    title: 'Draw one', about: 'Draw a path on the ground' };
+  points = task.points ?? points;
+  const own = { ...drawnTask(points.length ? points : [[3.1, 2.9], [3.6, 2.4], [4.2, 3]]),
+    name: 'draw', title: 'Draw one', about: 'Draw a path on the ground' };
   const ground = h('div');
   const draw = async () => {
     const { pathPad } = await import('./draw_path.js');
-    fill(ground, pathPad(app, app.task.points ?? [], (points) => choose(drawnTask(points))));
+    if (choice.chosen !== own) return;
+    fill(ground, pathPad(app, points, (all) => {
+      points = all;
+      choose(drawnTask(points));
+    }));
   };
   const choice = new TaskChoice([...TASKS, own], () => {
     fill(ground);
-    if (choice.chosen === own) draw();
-    else choose(choice.chosen);
+    if (choice.chosen !== own) {
+      choose(choice.chosen);
+      return;
+    }
+    if (points.length) choose(drawnTask(points));
+    draw();
   }, task.points ? own : task);
   // A pointer chooses once; keys move from card to card.
   choice.element.addEventListener('click', ({ detail, target }) => {
