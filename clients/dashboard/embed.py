@@ -58,11 +58,16 @@ def inlined(page: str) -> set[str]:
     return {"export/page.js", *re.findall(r"'([^']+)'", modules[1])}
 
 
-def minify(esbuild: str, folder: pathlib.Path, names: list[str]) -> dict[str, bytes]:
-    with tempfile.TemporaryDirectory() as output:
+def minify(esbuild: str, files: dict[str, bytes]) -> dict[str, bytes]:
+    with tempfile.TemporaryDirectory() as folder:
+        for name, content in files.items():
+            path = pathlib.Path(folder) / name
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(content)
         subprocess.run([esbuild, "--minify", "--charset=utf8", "--log-level=warning",
-                        f"--outdir={output}", "--outbase=.", *names], cwd=folder, check=True)
-        return {name: (pathlib.Path(output) / name).read_bytes() for name in names}
+                        "--outdir=.", "--outbase=.", "--allow-overwrite", *files],
+                       cwd=folder, check=True)
+        return {name: (pathlib.Path(folder) / name).read_bytes() for name in files}
 
 
 def squeeze(esbuild: str, source: bytes) -> bytes:
@@ -109,9 +114,8 @@ def main() -> None:
              else text.encode() for name, text in sources.items()}
     if esbuild:
         kept = inlined(sources["export/page.js"])
-        files |= minify(esbuild, pathlib.Path(folder),
-                        [name for name in files if name.endswith((".js", ".css")) and
-                         name not in kept])
+        files |= minify(esbuild, {name: content for name, content in files.items()
+                                  if name.endswith((".js", ".css")) and name not in kept})
         files |= {name: squeeze(esbuild, files[name]) for name in kept - {"export/page.js"}}
     page = files["index.html"].replace(b"@preload@", preload(sources).encode())
     digest = hashlib.sha256()

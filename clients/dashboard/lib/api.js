@@ -140,6 +140,24 @@ export function withQuery(path, parameters) {
   return query ? `${path}?${query}` : path;
 }
 
+/**
+ * Reads a list that comes in pages.
+ * @param {function(string): Promise<any>} get
+ * @param {string} path
+ * @param {Object<string, any>} [parameters]
+ * @param {number} [most] ends after the page with this item
+ */
+export async function listOf(get, path, parameters, most = Infinity) {
+  const items = [];
+  let cursor;
+  do {
+    const page = await get(withQuery(path, { ...parameters, limit: 1000, cursor }));
+    items.push(...page.items);
+    cursor = page.next_cursor;
+  } while (cursor !== null && items.length < most);
+  return items;
+}
+
 /** Wraps an async function so that concurrent calls share one run. */
 export function shared(work) {
   let busy = null;

@@ -126,15 +126,17 @@ export function toggle(text, pressed, onchange, attributes = {}) {
   return element;
 }
 
-/** Returns a list of choices, which are texts or [value, text]. */
-export function select(label, choices, value, onchange) {
-  const options = choices.map((choice) => {
-    const [key, text] = Array.isArray(choice) ? choice : [choice, choice];
-    return h('option', { value: key, selected: key === value }, text);
-  });
-  return h('label.field', {}, h('span', {}, label),
-    h('select', { onchange: (event) => onchange(event.target.value) }, options));
-}
+/** Returns a list of choices, which are texts or [value, text], without a visible name. */
+export const choice = (label, choices, value, onchange) =>
+  h('select', { 'aria-label': label, onchange: (event) => onchange(event.target.value) },
+    choices.map((one) => {
+      const [key, text] = Array.isArray(one) ? one : [one, one];
+      return h('option', { value: key, selected: key === value }, text);
+    }));
+
+/** Returns the same below its name. */
+export const select = (label, choices, value, onchange) => h('label.field', {},
+  h('span', {}, label), choice(label, choices, value, onchange));
 
 /** Returns a table with its head. isRight: gets a name and its position; numbers are
  * right-aligned. */

@@ -1,6 +1,6 @@
 /** A stage with its controls: play, scrub, slow motion, display options, and the followed robot. */
 
-import { announce, button, fill, h, say, select, toggle } from '../lib/dom.js';
+import { announce, button, choice, fill, h, say, toggle } from '../lib/dom.js';
 import { percent } from '../lib/format.js';
 import { resultOf } from '../lib/tasks.js';
 import { driveCamera } from './camera.js';
@@ -155,14 +155,12 @@ export class Player {
     this.toggles = { skin: flag('Skin', 'skin'), springs: this.springsToggle,
       contacts: flag('Contacts', 'contacts'),
       trails: flag('Trails', 'trails'), actuation: this.actuationToggle };
-    const speed = select('Speed', SPEEDS, '1', (value) => {
+    this.speedSelect = choice('Speed', SPEEDS, '1', (value) => {
       this.speed = Number(value);
       this.live?.setSpeed(this.speed);
       this.onchange();
     });
-    speed.firstChild.className = 'visually-hidden';
-    this.speedSelect = speed.lastChild;
-    this.timeRow.append(speed);
+    this.timeRow.append(this.speedSelect);
     this.toggleRow.append(h('div.pair', {
       role: 'group', 'aria-label': 'Arrangement', hidden: true,
     }, this.sideToggle, this.raceToggle, this.ghostsToggle), this.followToggle, this.toggles.skin,

@@ -86,8 +86,10 @@ export const TERRAIN_SHADERS = [
   `${VERSION}${TERRAIN}
 layout(location = 0) in vec2 corner;
 uniform mat4 matrix;
-uniform vec4 course; // of a race: start and direction
-uniform vec4 lane; // ranges along and across, or 0: the whole map
+// Of a race: start and direction.
+uniform vec4 course;
+// Ranges along and across, or 0: the whole map.
+uniform vec4 lane;
 uniform bool isProfile;
 uniform bool isGrid;
 out vec3 at;
@@ -120,10 +122,13 @@ in vec3 at;
 in vec2 slope;
 in vec2 way;
 uniform vec4 lane;
-uniform float goal; // of a race: distance of its finish, or 0
-uniform float marks; // distance of lines across its lanes, or 0
+// Of a race: distance of its finish, or 0.
+uniform float goal;
+// Distance of lines across its lanes, or 0.
+uniform float marks;
 uniform vec3 tint;
-uniform vec2 middle; // of the ground that is drawn in full, and half of its sides
+// Of the ground that is drawn in full, and half of its sides.
+uniform vec2 middle;
 uniform vec2 reach;
 uniform vec3 ground;
 uniform vec3 line;
@@ -205,7 +210,8 @@ uniform vec3 swollen;
 uniform vec3 shrunk;
 uniform vec3 rest;
 uniform vec3 tint;
-uniform float owned; // share of the robot's own color
+// Share of the robot's own color.
+uniform float owned;
 uniform float alpha;
 out vec4 color;
 void main() {

@@ -1,6 +1,6 @@
 /** Starts a job again: the form of its kind, filled with the settings of a job. */
 
-import { getJson, withQuery } from '../lib/api.js';
+import { getJson, listOf } from '../lib/api.js';
 import { countOf } from '../lib/format.js';
 import { kindOf, pathOf } from '../lib/kinds.js';
 import { requested } from '../lib/rollouts.js';
@@ -36,15 +36,9 @@ async function controllerOf(job) {
 
 /** The founders of a campaign that were listed in its request. */
 async function foundersOf(job) {
-  const found = [];
-  let cursor;
-  do {
-    const page = await getJson(withQuery(`${pathOf(job)}/population`,
-      { generation: 0, limit: 1000, cursor }));
-    found.push(...page.items.filter(({ operator }) => operator === 'listed'));
-    cursor = page.next_cursor;
-  } while (cursor !== null);
-  return found.map(({ genotype }) => ({ voxels: genotype }));
+  const first = await listOf(getJson, `${pathOf(job)}/population`, { generation: 0 });
+  return first.filter(({ operator }) => operator === 'listed')
+    .map(({ genotype }) => ({ voxels: genotype }));
 }
 
 /**

@@ -4,7 +4,7 @@
 import { withQuery } from '../lib/api.js';
 import { button, h } from '../lib/dom.js';
 import { commandsOf, pythonOf } from '../lib/commands.js';
-import { shellWord } from '../lib/format.js';
+import { countOf, shellWord } from '../lib/format.js';
 import { requested } from '../lib/rollouts.js';
 import { pointsText } from '../lib/tasks.js';
 import { toScene } from '../export/scene.js';
@@ -72,8 +72,7 @@ function taskSection({ drive, player }, how) {
   };
   return h('details', {}, h('summary', {}, 'The path of the light as a task'),
     h('div.stack', {},
-      h('p', {}, `The path has ${points.length === 1 ? 'one way-point'
-        : `${points.length} way-points`}, on the same terrain. You can score any robot on it, or `,
+      h('p', {}, `The path has ${countOf(points.length, 'way-point')}, on the same terrain. You can score any robot on it, or `,
       'evolve robots for it. ', h('a', { href: link }, 'Watch it on the stage')),
       commandSections([['JSON', JSON.stringify(request.task)],
         .../** @type {[string, string][]} */ (controllers.flatMap(commandsWith))])));

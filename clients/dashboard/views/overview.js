@@ -2,7 +2,7 @@
 
 import { getJson, shared, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
-import { h, patch, patchRow, say, table as tableOf, tile } from '../lib/dom.js';
+import { choice, h, patch, patchRow, say, table as tableOf, tile } from '../lib/dom.js';
 import { factsOf, knownFacts } from '../lib/facts.js';
 import { ago, bytes, count, duration, number, percent, score } from '../lib/format.js';
 import { linkOf, titleOf } from '../lib/kinds.js';
@@ -31,10 +31,6 @@ export async function mount(main, path, parameters, app) {
     empty: 'The first samples come within seconds.',
   });
   const jobRows = h('tbody');
-  /** Returns a selection without a visible name. */
-  const choice = (label, choices, value, chosen) =>
-    h('select', { 'aria-label': label, onchange: (event) => chosen(event.target.value) },
-      choices.map(([key, text]) => h('option', { value: key, selected: key === value }, text)));
   const titles = new Map(); // of the listed jobs, by id
   let by = 'experiment';
   const usage = h('tbody');

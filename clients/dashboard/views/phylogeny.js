@@ -18,8 +18,9 @@ import { copyButton } from './share.js';
 const SHADERS = [
   `#version 300 es
 precision highp float;
-uniform highp sampler2D lives;   // one texel per design: born, end, y, y of the parent
-// value for the color, or operator / 255; 1: ancestor of the living, 1/4: a lower bound
+// One texel per design: born, end, y, y of the parent.
+uniform highp sampler2D lives;
+// Value for the color, or operator / 255; 1: ancestor of the living, 1/4: a lower bound.
 uniform highp sampler2D looks;
 uniform vec2 shift;
 uniform vec2 zoom;

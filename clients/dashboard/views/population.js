@@ -1,6 +1,6 @@
 /** The population of a campaign: any two traits of its designs, and those in a brush walking. */
 
-import { withQuery } from '../lib/api.js';
+import { listOf } from '../lib/api.js';
 import { h } from '../lib/dom.js';
 import { CampaignStage } from './champions.js';
 import { Scatter } from './scatter.js';
@@ -20,13 +20,7 @@ export class PopulationTab {
   async refresh() {
     const { id, get, job } = this.shared;
     if (job().progress.generation === null) return;
-    const population = [];
-    let cursor;
-    do {
-      const page = await get(withQuery(`v1/campaigns/${id}/population`, { limit: 1000, cursor }));
-      population.push(...page.items);
-      cursor = page.next_cursor;
-    } while (cursor !== null && population.length < DESIGNS_MAX);
+    const population = await listOf(get, `v1/campaigns/${id}/population`, {}, DESIGNS_MAX);
     this.population = population;
     this.scatter.set(population);
     if (this.stage.isEmpty) {

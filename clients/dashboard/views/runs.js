@@ -2,7 +2,7 @@
 
 import { LinkError, getJson, withQuery } from '../lib/api.js';
 import { commandsOf } from '../lib/commands.js';
-import { button, h, patchRow, say } from '../lib/dom.js';
+import { button, choice, h, patchRow, say } from '../lib/dom.js';
 import { coalesced, isNews } from '../lib/events.js';
 import { factsOf, knownFacts } from '../lib/facts.js';
 import { countOf, shellWord } from '../lib/format.js';
@@ -62,10 +62,7 @@ export async function mount(main, [id], parameters, app) {
     wanted = FIRST;
     return reload();
   };
-  const choice = (label, name, choices) => h('select', {
-    'aria-label': label, onchange: (event) => change(name)(event.target.value),
-  }, choices.map(([key, text]) =>
-    h('option', { value: key, selected: key === asked[name] }, text)));
+  const filter = (label, name, choices) => choice(label, choices, asked[name], change(name));
   const experiments = [...new Set([...usage.map(({ name }) => name), asked.experiment])]
     .filter(Boolean).sort();
   let typing;
@@ -243,12 +240,11 @@ export async function mount(main, [id], parameters, app) {
     button('Commands', showCommands, { title: 'The same with curl, morphoctl or Python' }))),
   h('section.panel.stack', { 'aria-label': 'Runs' },
     h('div.row.filters', {}, searched,
-      choice('Kind', 'kind', [['', 'all kinds'], ...Object.entries(KINDS).map(([key, { names }]) =>
+      filter('Kind', 'kind', [['', 'all kinds'], ...Object.entries(KINDS).map(([key, { names }]) =>
         [key, names.toLowerCase()])]),
-      choice('State', 'state', [['', 'all states'], ...STATES.map((one) => [one, one])]),
-      choice('Experiment', 'experiment', [['', 'all experiments'],
-        ...experiments.map((one) => [one, one])]),
-      choice('Archived', 'archived', ARCHIVES), order),
+      filter('State', 'state', [['', 'all states'], ...STATES]),
+      filter('Experiment', 'experiment', [['', 'all experiments'], ...experiments]),
+      filter('Archived', 'archived', ARCHIVES), order),
     actions.element, panel, none, h('div.row', {}, more, shown)));
   // The page may be left while facts are read, which takes long.
   await new Promise((resolve, reject) => {

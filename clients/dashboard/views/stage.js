@@ -1,6 +1,6 @@
 /** The stage as a page: any designs, or recordings, side by side or in a race. */
 
-import { button, fill, h, select } from '../lib/dom.js';
+import { button, choice, fill, h } from '../lib/dom.js';
 import {
   CHANNELS, recorded, recordingPath, requested, roll, worldOfJob, worldOfSet,
 } from '../lib/rollouts.js';
@@ -76,11 +76,10 @@ export async function mount(main, path, parameters, app) {
   const breed = breedButton(app, 'Breed these', () => source.founders(),
     { disabled: source.founders().length === 0 });
   const places = Array.from({ length: source.n }, (_, i) => [String(i), `environment ${i}`]);
-  const choose = select('Environment', places, String(environment), (value) => {
+  const choose = choice('Environment', places, String(environment), (value) => {
     environment = Number(value);
     load();
   });
-  choose.firstChild.className = 'visually-hidden';
   const robots = source.choose ? button('Robots', () => source.choose(() => {
     breed.disabled = false;
     load();
