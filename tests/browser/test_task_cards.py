@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from service import DESIGN
+from service import DESIGN, run
 from test_pages import ACCESSIBILITY
 from test_tray import module
 
@@ -50,19 +50,35 @@ def test_cards_say_what_a_score_means(service, browser, kind):
 
 
 def test_a_training_learns_the_chosen_task(service, browser):
-    """The environments of the card are part of the request; the first card has none."""
+    """As with lights, each robot has a random terrain of its own; only to climb, it needs slopes.
+    The cards say so, and the service accepts what they ask for."""
     open_form(browser, "training")
-    for name, expected in (("random", None), ("walk", "walk")):
+    for name, text in cards(browser, "dialog"):
+        assert ("Ground: random terrains." in text) == (name != "climb"), text
+        if name == "pursue":
+            assert "Loss: more than 1 if it stands still" in text
+    for name in ("random", "walk", "climb", "jump"):
         browser.run("document.querySelector(`dialog .tasks input[value=${arguments[0]}]`).click();"
                     "const { elements } = document.querySelector('dialog form');"
                     "elements.kind.value = 'pretrain'; elements.name.value = 'other';"
                     "elements.kind.dispatchEvent(new Event('change', { bubbles: true }))", name)
         browser.click("Copy as a command", "dialog button")
-        browser.until("document.querySelectorAll('dialog[open] pre').length === 3")
-        curl = browser.texts("dialog pre")[0]
-        request = json.loads(re.search(r"-d '(.*)'", curl)[1])
-        found = request.get("environments")
-        assert (found and found[0]["task"]) == expected
+        browser.until("document.querySelectorAll('dialog[open] pre').length > 0")
+        texts = browser.texts("dialog pre")
+        request = json.loads(re.search(r"-d '(.*)'", texts[0])[1])
+        member = {"random": None, "climb": "environments"}.get(name, "tasks")
+        assert set(request) & {"environments", "tasks"} == ({member} if member else set())
+        if name == "walk":
+            assert request["tasks"] == ["walk"]
+            assert any("--tasks walk" in text for text in texts)
+        if name == "climb":
+            assert [one["task"] for one in request["environments"]] == ["climb", "climb"]
+        if name == "jump":
+            assert request["tasks"][0]["objective"] == "jump"
+            small = {"steps": 1, "batch": 1, "physics": {"n_steps": 20},
+                     "validation": {"every_steps": 1, "designs": 1, "environments": 1}}
+            job = run(service, "trainings", {**request, **small, "name": "jumper"})
+            assert job["state"] == "succeeded" and len(job["settings"]["tasks"]) == 1
         browser.run("[...document.querySelectorAll('dialog')].at(-1).close()")
         browser.until("document.querySelectorAll('dialog').length === 1")
     browser.run("document.querySelector('dialog').close()")
@@ -96,27 +112,54 @@ def test_pictures_are_drawn_from_the_task(browser):
             assert 0 < x < 64 and 0 < y < 32
 
 
-def drag(browser, points):
-    """Draws on the ground with the mouse, in meters."""
+def mouse(browser):
+    """Returns what sends an event of the mouse to the ground, at a point in meters."""
     browser.run("document.querySelector(arguments[0]).scrollIntoView({ block: 'center' })", MAP)
     left, bottom, width = browser.run("const { left, bottom, width } = document.querySelector("
                                       "arguments[0]).getBoundingClientRect();"
                                       "return [left, bottom, width]", MAP)
 
-    def send(kind, point):
+    def send(kind, point, button="left"):
         x, y = left + point[0] / 5 * width, bottom - point[1] / 5 * width
         browser.driver.execute_cdp_cmd("Input.dispatchMouseEvent", {
-            "type": kind, "x": x, "y": y, "button": "left", "buttons": 1, "clickCount": 1})
+            "type": kind, "x": x, "y": y, "button": button,
+            "buttons": {"left": 1, "right": 2, "none": 0}[button],
+            "clickCount": int(kind != "mouseMoved")})
 
+    return send
+
+
+def drag(browser, points):
+    """Draws on the ground with the mouse, in meters."""
+    send = mouse(browser)
     send("mousePressed", points[0])
     for point in points:
         send("mouseMoved", point)
     send("mouseReleased", points[-1])
 
 
+def open_pad(browser, task):
+    """Opens the menu with a task, and the ground if it is a drawn one."""
+    browser.open(f"lab?task={task}")
+    browser.until(SCORED)
+    browser.run(OPEN)
+    browser.until("document.querySelector('#tasks input[value=draw]')")
+    if task.startswith("drawn"):
+        browser.until(f"document.querySelector('{MAP}')")
+
+
+def status(browser):
+    return browser.texts(".draw [role=status]")[0]
+
+
+def in_link(browser, name):
+    return browser.run("return new URLSearchParams(location.hash.split('?')[1])"
+                       ".get(arguments[0])", name)
+
+
 def drawn(browser):
     """Returns the way-points in the link."""
-    found = browser.run("return new URLSearchParams(location.hash.split('?')[1]).get('task')")
+    found = in_link(browser, "task")
     assert found.startswith("drawn:")
     return [[float(value) for value in point.split("_")] for point in found[6:].split(",")]
 
@@ -132,7 +175,7 @@ def test_a_drawn_path_is_a_task(service, browser):
     browser.until("document.querySelector('#tasks input[value=draw]')")
     browser.run(PICK, "draw")
     browser.until(f"document.querySelector('{MAP}')")
-    assert f"a path has 1 to {most} way-points" in browser.texts(".draw [role=status]")[0]
+    assert status(browser) == f"No way-point yet: a path has at most {most}."
     drag(browser, [[2.5 + 0.05 * i, 2.5 + 0.02 * abs(10 - i)] for i in range(21)])
     browser.until("location.hash.includes('task=drawn')")
     points = drawn(browser)
@@ -152,8 +195,7 @@ def test_a_drawn_path_is_a_task(service, browser):
     assert drawn(browser)[3] == pytest.approx([points[2][0] + 0.2, points[2][1] - 0.1])
     field.send_keys("\ue012" + "\ue007", *(["\ue012\ue007"] * 14))  # left, Enter
     browser.until(f"(location.hash.match(/%2C/g) ?? []).length === {most - 1}")
-    words = browser.texts(".draw [role=status]")[0]
-    assert f"No way-point was added: a path has 1 to {most} way-points" in words
+    assert status(browser) == f"No way-point was added: a path has at most {most}."
     browser.click("Remove last", ".draw button")
     browser.until(f"(location.hash.match(/%2C/g) ?? []).length === {most - 2}")
     points = drawn(browser)
@@ -184,31 +226,153 @@ def test_a_stroke_has_at_most_sixteen_way_points(browser):
     drag(browser, [[2.5 + 0.05 * i, 2.5 + (0.4 if i % 2 else 0)] for i in range(40)])
     browser.until("!location.hash.includes('3_3')")
     assert 1 <= len(drawn(browser)) <= 16
-    assert "Simplified" in browser.texts(".draw [role=status]")[0]
-    for wrong in ("drawn:", "drawn:3", "drawn:3_x", "drawn:3_3_3", "drawn:2000_1",
+    assert status(browser).startswith("Simplified: a path has at most 16 way-points. This path ")
+
+
+def test_wrong_way_points_are_refused(browser):
+    """Nothing stands for a number: neither "" nor another notation."""
+    for wrong in ("drawn:", "drawn:3", "drawn:3_x", "drawn:3_3_3", "drawn:2000_1", "drawn:3_",
+                  "drawn:_", "drawn:0x3_1e0", "drawn:3_ 3", "drawn:3_3,",
                   "drawn:" + ",".join(["3_3"] * 17)):
         browser.open(f"lab?task={wrong}")
         browser.until("document.querySelector('main .error')?.innerText"
                       ".includes('drawn:x_y,x_y with 1 to 16 way-points')")
 
 
+    for wrong in ("3_", "0x3_1e0"):
+        browser.open(f"stage?path={wrong}")
+        browser.until("document.querySelector('main .error')?.innerText"
+                      ".includes('1 to 16 way-points are expected, as x_y,x_y')")
+    browser.open("lab?task=drawn:-1_2.50")
+    browser.until(SCORED)
+    assert drawn(browser) == [[-1, 2.5]]
+
+
+def test_an_unsteady_click_adds_a_way_point(browser):
+    """However far the pointer moves back and forth: what counts is how far it gets."""
+    points = [[3, 3], [3.5, 3], [4, 3]]
+    open_pad(browser, "drawn:" + ",".join(f"{x}_{y}" for x, y in points))
+    drag(browser, [[4, 2], [4.03, 2]] * 5)
+    browser.until("(location.hash.match(/%2C/g) ?? []).length !== 2")
+    *before, last = drawn(browser)
+    assert before == points and last == pytest.approx([4, 2], abs=0.03)
+    assert status(browser).startswith("This path has 4 way-points and is ")
+
+
+def test_a_drawn_path_outlasts_another_choice(browser):
+    """In the menu, keys choose each card that they pass."""
+    link = "location.hash.includes('task={}')"
+    open_pad(browser, "drawn:3_3,4_3")
+    browser.run("document.querySelector('#tasks input[value=draw]').focus()")
+    left, right = "\ue012", "\ue014"
+    browser.driver.switch_to.active_element.send_keys(left)
+    browser.until(link.format("jump"))
+    assert not browser.run("return document.querySelector(arguments[0])", MAP)
+    browser.driver.switch_to.active_element.send_keys(right)
+    browser.until(link.format("drawn"))
+    assert drawn(browser) == [[3, 3], [4, 3]]
+    browser.until(f"document.querySelector('{MAP}')")
+    assert status(browser).startswith("This path has 2 way-points")
+    # Also when the menu was closed in between.
+    browser.run(PICK, "walk")
+    browser.until(link.format("walk"))
+    browser.run("document.getElementById('tasks').hidePopover()")
+    browser.run(OPEN)
+    browser.until("document.querySelector('#tasks input:checked').value === 'walk'")
+    browser.run(PICK, "draw")
+    browser.until(link.format("drawn"))
+    assert drawn(browser) == [[3, 3], [4, 3]]
+    assert browser.faults() == []
+
+
+def test_only_a_stroke_of_the_main_button_draws(browser):
+    open_pad(browser, "drawn:3_3")
+    route = f"return document.querySelector('{MAP} .route').getAttribute('d')"
+    before = browser.run(route)
+    send = mouse(browser)
+    for kind in ("mousePressed", "mouseMoved", "mouseReleased"):
+        send(kind, [4, 4], "right")
+    # A move or a release without a press changes nothing, and draws nothing anew.
+    browser.run(f"window.shown = document.querySelector('{MAP}').firstChild")
+    send("mouseMoved", [2, 2], "none")
+    event = "document.querySelector(arguments[0]).dispatchEvent(new PointerEvent(arguments[1]," \
+        "{ isPrimary: true }))"
+    browser.run(event, MAP, "pointerup")
+    assert browser.run(f"return window.shown === document.querySelector('{MAP}').firstChild")
+    # The browser ends a stroke: it is gone from the picture, too.
+    send("mousePressed", [3, 1])
+    send("mouseMoved", [4, 1])
+    assert browser.run(route) != before
+    browser.run(event, MAP, "pointercancel")
+    assert browser.run(route) == before
+    send("mouseReleased", [4, 1])
+    assert drawn(browser) == [[3, 3]] and browser.run(route) == before
+    assert browser.faults() == []
+
+
+def test_a_key_adds_no_way_point_twice(browser):
+    """The page says why, and how far the cross is, without the rest."""
+    open_pad(browser, "photo")
+    browser.run(PICK, "draw")
+    browser.until(f"document.querySelector('{MAP}')")
+    browser.run("document.querySelector(arguments[0]).focus()", MAP)
+    field = browser.driver.switch_to.active_element
+    enter, right = "\ue007", "\ue014"
+    field.send_keys(enter)
+    refused = "No way-point was added: the path already ends there."
+    assert status(browser) == refused
+    field.send_keys(right, right)
+    assert status(browser) == "x 2.7 m, y 2.5 m"
+    field.send_keys(enter)
+    browser.until("location.hash.includes('task=drawn')")
+    field.send_keys(enter)
+    assert status(browser) == refused and drawn(browser) == [[2.7, 2.5]]
+    # A path may come back to the start.
+    field.send_keys("\ue012", "\ue012", enter)
+    browser.until("location.hash.includes('%2C')")
+    assert drawn(browser) == [[2.7, 2.5], [2.5, 2.5]]
+
+
 def test_a_path_on_the_stage(service, browser):
-    """It replaces the light of the world, also in the link."""
+    """It replaces the light of the world, also in the link, until it is removed. If the service
+    is away, the page says so, and the link stays as it is."""
     robot = service.evaluate({"designs": [DESIGN]}).json()["results"][0]["robot"]
-    browser.open(f"stage?designs={robot}&environment=2")
+    browser.open(f"stage?designs={robot}&world=campaign-{service.campaign}")
     browser.until_walking()
-    heights = "return document.querySelector('.stage').player.stage.robots[0].world.heights"
-    ground = browser.run(heights)
+    world = "document.querySelector('.stage').player.stage.robots[0].world"
+    seen = f"return [{world}.heights, [...{world}.light]]"
+    before = browser.run(seen)
     browser.click("Draw a path")
     browser.until(f"document.querySelector('{MAP}')")
+    browser.run("window.send = window.fetch; window.fetch = () => Promise.reject(new TypeError())")
     drag(browser, [[3.4, 2.6]])
-    browser.until("new URLSearchParams(location.hash.split('?')[1]).get('path')")
-    path = browser.run("return new URLSearchParams(location.hash.split('?')[1]).get('path')")
-    point = [float(value) for value in path.split("_")]
+    browser.until("document.getElementById('toast').innerText.includes('cannot be reached')")
+    browser.run("window.fetch = send")
+    browser.click("Springs")  # the link changes with the view
+    browser.until("location.hash.includes('springs')")
+    assert in_link(browser, "path") is None
+    assert browser.run(f"return {world}.points") is None
+    browser.click("Remove the path", ".draw button")
+    assert status(browser).startswith("No way-point yet")
+    drag(browser, [[3.4, 2.6]])
+    browser.until("location.hash.includes('path=')")
+    point = [float(value) for value in in_link(browser, "path").split("_")]
     assert point == pytest.approx([3.4, 2.6], abs=0.03)
-    browser.until("document.querySelector('.stage').player.stage.robots[0].world.points")
-    assert browser.run("return document.querySelector('.stage').player.stage.robots[0]"
-                       ".world.points") == [point]
-    assert browser.run(heights) == ground
+    browser.until(f"{world}.points")
+    assert browser.run(f"return {world}.points") == [point]
+    assert browser.run(seen)[0] == before[0]
     assert "with a path of your own" in browser.texts(".world")[0]
+    browser.click("Remove the path", ".draw button")
+    browser.until("!location.hash.includes('path=')")
+    browser.until(f"!{world}.points")
+    assert browser.run(seen) == before
+    assert "path of your own" not in browser.texts(".world")[0]
     assert browser.faults() == []
+
+
+def test_home_shows_a_drawn_path_on_the_stage(browser):
+    browser.open("?task=drawn:3_3,4_3")
+    browser.until("document.querySelector('a.door[href*=path]')")
+    link = browser.run("return document.querySelector('a.door[href*=path]').hash")
+    assert "path=3_3%2C4_3" in link
+    assert "reach for a light" not in browser.texts(".doors")[0]
