@@ -292,7 +292,7 @@ def test_only_a_stroke_of_the_main_button_draws(browser):
     send = mouse(browser)
     for kind in ("mousePressed", "mouseMoved", "mouseReleased"):
         send(kind, [4, 4], "right")
-    # A move or a release without a press changes nothing, and draws nothing anew.
+    # A move or a release without a press changes nothing; the picture stays.
     browser.run(f"window.shown = document.querySelector('{MAP}').firstChild")
     send("mouseMoved", [2, 2], "none")
     event = "document.querySelector(arguments[0]).dispatchEvent(new PointerEvent(arguments[1]," \
@@ -374,5 +374,5 @@ def test_home_shows_a_drawn_path_on_the_stage(browser):
     browser.open("?task=drawn:3_3,4_3")
     browser.until("document.querySelector('a.door[href*=path]')")
     link = browser.run("return document.querySelector('a.door[href*=path]').hash")
-    assert "path=3_3%2C4_3" in link
+    assert "path=3_3,4_3" in link
     assert "reach for a light" not in browser.texts(".doors")[0]

@@ -98,13 +98,15 @@ export async function mount(main, path, parameters, app) {
     shown = robot;
     better.hidden = true;
     describe(robot, origin, scored);
-    staged.href = withQuery('#/stage', { designs: robots.join(','),
-      environment: task.set ? place : SHOWN, set: isPhoto ? null : task.set,
-      path: task.points && pointsText(task.points) });
+    staged.href = `#/stage?designs=${robots.join(',')}` +
+      `&environment=${task.set ? place : SHOWN}` +
+      (isPhoto || !task.set ? '' : `&set=${task.set}`) +
+      (task.points ? `&path=${pointsText(task.points)}` : '');
     fill(staged, h('strong', {}, 'Watch the best'), h('span', {},
       robots.length === 1 ? 'On a full-page stage.'
         : `The ${COUNTS[robots.length]} best, side by side or racing, on a full-page stage.`,
-      task.set || task.points ? null : ' There they reach for a light: this task has no fixed set of worlds.'));
+      task.set || task.points ? null
+        : ' There they reach for a light: this task has no fixed set of worlds.'));
     const design = { id: robot };
     const computed = roll([design], environments[place], { signal });
     computed.catch(() => {}); // awaited below
