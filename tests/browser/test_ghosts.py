@@ -85,6 +85,10 @@ def test_which_robot_is_opaque(ghosts):
     ghosts.until(f"(() => {{ {solid} }})() === {order[0]}", 10)
     ghosts.run(f"{row}.click()")
     assert ghosts.run(solid) == order[1]
+    # Before the first picture, nothing is under the pointer.
+    ghosts.run(PLAYER + "stage.drawn = null; stage.canvas.dispatchEvent("
+               "new PointerEvent('pointermove'))")
+    assert ghosts.run(solid) == order[1]
     assert ghosts.faults() == []
 
 
@@ -139,3 +143,20 @@ def test_a_film_of_ghosts(service, browser):
     drawn = browser.run("return drawn")
     assert len(drawn) > 10 and [robot for _, robot in drawn] == expected
     assert browser.faults() == []
+
+
+def test_a_leading_light_is_where_it_is(service, browser):
+    """Only a lane is too short for it: on one ground, it is drawn where the controller sees it."""
+    ids = robots_of(service, [DESIGN, LINE])
+    browser.open(f"stage?designs={ids}&set=morpho-12-walk&show=skin,ghosts")
+    browser.until_walking()
+    away = browser.run(PLAYER + """
+        const { terrain } = stage.programs;
+        const { set } = terrain;
+        let light;
+        terrain.set = (values) => { light = values.lightAt; return set.call(terrain, values); };
+        stage.draw();
+        delete terrain.set;
+        const [x, y] = stage.placeOf(stage.solid());
+        return Math.hypot(light[0] - x, light[1] - y);""")
+    assert away == pytest.approx(1.5, abs=0.1)
