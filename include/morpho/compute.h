@@ -90,7 +90,7 @@ struct mo_compute_stats {
 
 /* What computing with a controller has taken since the start, for one kind of work. The first
  * members identify the kind. Work that failed, was cancelled or ran in other processes does not
- * count, except that a call to a device counts as a whole. */
+ * count; nor do rollouts with recordings, measures or states, which take longer. */
 struct mo_rate {
   bool is_gradient; /* rollouts with their gradients */
   enum mo_back_end back_end;

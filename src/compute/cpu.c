@@ -238,14 +238,21 @@ static void count(struct worker *worker, const struct mo_block *block)
   atomic_fetch_add(&compute->rollouts_diverged, diverged);
 }
 
-/* Adds a block to the rates. Passive bodies, without a controller, would distort them. */
+/* Returns whether a scoring block's time tells that of others: passive bodies take less, and
+ * recordings, measures and states take more. */
+static bool is_plain(const struct mo_block *block)
+{
+  return mo_compute_controller_weights(block->controller) != NULL && block->recordings == NULL &&
+         block->measuring == NULL && block->states.from == NULL && block->states.to == NULL;
+}
+
+/* Adds a block to the rates. */
 static void rate(const struct run *run)
 {
   const struct mo_block *block = run->block;
   const struct mo_gradient_task *task = block->gradient;
   const struct mo_scheme *scheme = &block->physics.scheme;
-  if (block->status != MO_OK ||
-      (task == NULL && mo_compute_controller_weights(block->controller) == NULL))
+  if (block->status != MO_OK || (task == NULL && !is_plain(block)))
     return;
   struct mo_rate work =
       mo_rate_of(task != NULL, MO_ON_CPU, task != NULL ? MO_FLOAT32 : block->precision, scheme);

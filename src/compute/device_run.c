@@ -450,25 +450,34 @@ static uint64_t charge_ns(struct mo_unit *unit, uint64_t start_ns)
   return now_ns - from_ns;
 }
 
-/* Adds a call to the rates. */
-static void rate(const struct mo_devices *devices, const struct mo_chunk *chunk, uint64_t took_ns)
+/* Returns what a call has computed, without its time; no rollouts: nothing to add to the rates.
+ * Called without the mutex, because a call has up to a hundred thousand rows. */
+static struct mo_rate work_of(const struct mo_chunk *chunk)
 {
   const struct mo_device_task *task = chunk->task;
   const struct mo_block *first = chunk->items[0].block;
-  if (task == NULL &&
-      (chunk->n_active == 0 || mo_compute_controller_weights(first->controller) == NULL))
-    return;
-  const struct mo_robot *robots = task != NULL ? task->batch->robots + task->first : chunk->robots;
   const struct mo_scheme *scheme =
       task != NULL ? &task->batch->physics.scheme : &first->physics.scheme;
+  const bool is_plain = task == NULL && !chunk->is_measured &&
+                        mo_compute_controller_weights(first->controller) != NULL;
   struct mo_rate work = mo_rate_of(task != NULL, MO_ON_DEVICE, MO_FLOAT32, scheme);
+  uint64_t springs = 0;
   work.blocks = 1;
-  work.rollouts = task != NULL ? task->n : chunk->n_rows;
+  if (task != NULL && chunk->items[0].status == MO_OK)
+    work.rollouts = task->n;
+  for (uint64_t i = 0; task != NULL && i < work.rollouts; i++)
+    springs += task->batch->robots[task->first + i].body->n_springs;
+  for (uint32_t i = 0; is_plain && i < chunk->n_active; i++) {
+    const struct mo_chunk_item *item = &chunk->items[i];
+    if (item->status != MO_OK) /* such as those that the workers will compute */
+      continue;
+    work.rollouts += item->block->n_environments;
+    springs +=
+        (uint64_t)chunk->robots[item->first_row].body->n_springs * item->block->n_environments;
+  }
   work.steps = work.rollouts * scheme->n_steps;
-  for (uint64_t i = 0; i < work.rollouts; i++)
-    work.spring_steps += (uint64_t)robots[i].body->n_springs * scheme->n_steps;
-  work.busy_s = 1e-9 * (double)took_ns;
-  mo_rates_add(mo_core(devices->compute)->rates, &work);
+  work.spring_steps = springs * scheme->n_steps;
+  return work;
 }
 
 /* Under the mutex: runs the caller's chunk. */
@@ -486,13 +495,15 @@ static void run_chunk(struct mo_caller *caller)
   mo_thread_tag = chunk->items[0].block->tag;
   const int status = chunk->task != NULL ? run_task(caller) : run_blocks(caller);
   mo_thread_tag = -1;
+  struct mo_rate work = work_of(chunk);
   pthread_mutex_lock(&devices->fair.mutex);
   const uint64_t took_ns = charge_ns(unit, start_ns);
   mo_unit_account(unit);
   caller->state = MO_CALLER_DELIVERS;
   count(unit, chunk);
-  if (status == MO_OK)
-    rate(devices, chunk, took_ns);
+  work.busy_s = 1e-9 * (double)took_ns;
+  if (status == MO_OK && work.rollouts > 0)
+    mo_rates_add(mo_core(devices->compute)->rates, &work);
   mo_fair_correct(&devices->fair, &chunk->charge, 1e-9 * (double)took_ns, status == MO_OK);
   atomic_fetch_add(&chunk->charge.share->busy_ns, took_ns);
   if (status == MO_ERR_DEVICE)

@@ -354,8 +354,35 @@ static void passive_and_faults(void)
   CHECK_INT(blocks[1].status, MO_OK);
 }
 
-/* Work of one kind is summed; other kinds have sums of their own; passive and failed work has
- * none. */
+/* Computes with what takes longer: recordings, measures, states. */
+static void run_with_extras(struct mo_compute *compute, struct mo_compute_controller *brain,
+                            const uint64_t *genotype)
+{
+  static struct mo_state states[MO_PAPER_TEST_COUNT];
+  static double values[MO_PAPER_TEST_COUNT][MO_MEASURES], com_m[MO_PAPER_TEST_COUNT][41][3];
+  const struct mo_measuring measuring = {MO_MEASURES_ALL, values};
+  struct mo_recording recordings[MO_PAPER_TEST_COUNT];
+  struct mo_body *body = make_body(lattice, genotype);
+  for (uint32_t e = 0; e < MO_PAPER_TEST_COUNT; e++) {
+    recordings[e] = (struct mo_recording){.stride = 1, .com_m = &com_m[e][0][0]};
+    make_check(mo_state_create(states + e, body->n_masses, body->n_springs, body->n_voxels),
+               "a state");
+  }
+  struct mo_block block;
+  for (int extra = 0; extra < 4; extra++) {
+    fill_block(&block, genotype, brain, 40);
+    block.recordings = extra == 0 ? recordings : NULL;
+    block.measuring = extra == 1 ? &measuring : NULL;
+    block.states.to = extra == 2 ? states : NULL;
+    block.states.from = extra == 3 ? states : NULL;
+    CHECK_INT(mo_compute_run(compute, &block, 1), MO_OK);
+  }
+  for (uint32_t e = 0; e < MO_PAPER_TEST_COUNT; e++)
+    mo_state_free(states + e);
+}
+
+/* Work of one kind is summed; other kinds have sums of their own; passive and failed work has none,
+ * nor has work that also records, measures, or begins or ends with states. */
 static void work_is_rated(void)
 {
   struct mo_compute *compute = make_compute(1);
@@ -373,6 +400,7 @@ static void work_is_rated(void)
       block.precision = MO_FLOAT64;
     CHECK_INT(mo_compute_run(compute, &block, 1), run == 4 ? MO_ERR_EMPTY : MO_OK);
   }
+  run_with_extras(compute, brain, genotype);
   CHECK_INT(mo_compute_get_rates(compute, rates), 2);
   CHECK_INT(rates[0].precision, MO_FLOAT32);
   CHECK_INT(rates[1].precision, MO_FLOAT64);

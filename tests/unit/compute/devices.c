@@ -52,6 +52,17 @@ static bool as_expected(uint32_t d)
   return SAME(blocks[d].outcomes, expected[d], ENVIRONMENTS);
 }
 
+/* What the devices have taken for rollouts; no rollouts: nothing. */
+static struct mo_rate device_rate(struct mo_compute *compute)
+{
+  struct mo_rate rates[MO_RATES_MAX], found = {.rollouts = 0};
+  const uint32_t n = mo_compute_get_rates(compute, rates);
+  for (uint32_t i = 0; i < n; i++)
+    if (rates[i].back_end == MO_ON_DEVICE)
+      found = rates[i];
+  return found;
+}
+
 static void expect_scores(enum mo_back_end computed_on)
 {
   for (uint32_t d = 0; d < DESIGNS; d++) {
@@ -79,7 +90,7 @@ static void measures_rows(void)
 {
   static double values[DESIGNS][ENVIRONMENTS][MO_MEASURES], all[ENVIRONMENTS][MO_MEASURES];
   struct mo_measuring measurings[DESIGNS];
-  uint32_t on_device = 0;
+  uint32_t on_device = 0, on_device_plain = 0;
   reset();
   set("MORPHO_FAKE_ROWS", "70");
   set("MORPHO_FAKE_SPRINGS", "400");
@@ -105,7 +116,9 @@ static void measures_rows(void)
       memset(all, 0x7f, sizeof(all)); /* not asked for: left as they were */
     CHECK(memcmp(values[d], all, sizeof(all)) == 0);
     on_device += blocks[d].computed_on == MO_ON_DEVICE;
+    on_device_plain += blocks[d].computed_on == MO_ON_DEVICE && d % 2 == 1;
   }
+  CHECK_INT(device_rate(compute).rollouts, on_device_plain * ENVIRONMENTS);
   CHECK(on_device > DESIGNS / 2 && on_device < DESIGNS);
 }
 
@@ -229,11 +242,14 @@ static void scores_do_not_depend_on_the_number(void)
       rollouts += status.rollouts_done;
     }
     CHECK_INT(rollouts, 2 * DESIGNS * ENVIRONMENTS);
-    struct mo_rate rates[MO_RATES_MAX];
-    CHECK_INT(mo_compute_get_rates(compute, rates), 1);
-    CHECK_INT(rates[0].back_end, MO_ON_DEVICE);
-    CHECK_INT(rates[0].rollouts, rollouts);
-    CHECK(rates[0].spring_steps > rates[0].steps && rates[0].busy_s > 0);
+    uint64_t spring_steps = 0;
+    for (uint32_t d = 0; d < DESIGNS; d++)
+      spring_steps += UINT64_C(2) * ENVIRONMENTS * STEPS * bodies[d]->n_springs;
+    const struct mo_rate rate = device_rate(compute);
+    CHECK_INT(rate.rollouts, rollouts);
+    CHECK_INT(rate.steps, rollouts * STEPS);
+    CHECK_INT(rate.spring_steps, spring_steps);
+    CHECK(rate.busy_s > 0);
     check_drop_from(compute);
   }
 }
@@ -261,6 +277,8 @@ static void scores_do_not_depend_on_memory(void)
     CHECK_INT(blocks[d].status, MO_ERR_NO_MEMORY);
 }
 
+/* Only what the device computed itself is in its rates: what it leaves to the workers takes it
+ * almost no time. */
 static void workers_do_the_rest(void)
 {
   static const char *const numbers[] = {"1", "2"};
@@ -271,14 +289,19 @@ static void workers_do_the_rest(void)
   set("MORPHO_FAKE_SPRINGS", limit);
   for (size_t i = 0; i < 2; i++) {
     struct mo_compute *compute = open_devices(numbers[i]);
+    uint64_t rollouts = 0, spring_steps = 0;
     CHECK_INT(score(compute), MO_OK);
     for (uint32_t d = 0; d < DESIGNS; d++) {
       const bool is_large = bodies[d]->n_springs > bodies[0]->n_springs;
       n_large += is_large;
+      rollouts += is_large ? 0 : ENVIRONMENTS;
+      spring_steps += is_large ? 0 : (uint64_t)ENVIRONMENTS * STEPS * bodies[d]->n_springs;
       CHECK_INT(blocks[d].status, MO_OK);
       CHECK_INT(blocks[d].computed_on, is_large ? MO_ON_CPU : MO_ON_DEVICE);
       CHECK(as_expected(d));
     }
+    CHECK_INT(device_rate(compute).rollouts, rollouts);
+    CHECK_INT(device_rate(compute).spring_steps, spring_steps);
     score_one(compute, controller, MO_ON_DEVICE, MO_FLOAT64, MO_OK);
     CHECK_INT(blocks[0].computed_on, MO_ON_CPU);
     check_drop_from(compute);
