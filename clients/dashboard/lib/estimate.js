@@ -28,20 +28,23 @@ const sizeOf = ({ rollouts, blocks, springs, steps }, device) =>
 /** Returns the kind of rollouts, as a text. A controller whose period is 0 acts in every step. */
 const likeOf = ({ device, precision, integrator, dt_s: stepS, control_period_s: period }) =>
   [device, precision, integrator, stepS, period || stepS].join();
-const isLike = (row, plan, work) => row.work === work && likeOf(row) === plan.like;
+const rowOf = (rates, plan, work) => rates.find((row) =>
+  row.work === work && row.steps >= STEPS_MIN && likeOf(row) === plan.like);
 
 /**
  * What a request computes.
  * @typedef {Object} Plan
  * @property {any} physics
  * @property {string} precision
- * @property {string} device cpu or cuda
- * @property {string} like the kind of its rollouts
+ * @property {string} device cpu or cuda: at first, what `auto` stands for if a device works
+ * @property {string} [like] the kind of its rollouts
  * @property {{rollouts: number, blocks: number, springs: number}} scoring
- * @property {{rollouts: number, blocks: number, springs: number}|null} learning robots
- * @property {boolean} isMost some rollouts may turn out not to be needed
+ * @property {{rollouts: number, blocks: number, springs: number}|null} [learning] robots
+ * @property {any} [isMost] some rollouts may turn out not to be needed
  * @property {boolean} isSure the bodies are known
  */
+
+const partOf = (blocks, worlds, springs) => ({ rollouts: blocks * worlds, blocks, springs });
 
 /**
  * Returns what a request computes; null if it lacks designs.
@@ -52,73 +55,68 @@ const isLike = (row, plan, work) => row.work === work && likeOf(row) === plan.li
  * @returns {Plan|null}
  */
 function planOf(kind, request, { periodS, environments = ENVIRONMENTS, isUnknown }) {
-  const own = typeof request.physics === 'object' ? request.physics : {};
-  const isPaper = request.preset === 'paper' || request.physics === 'paper';
-  const physics = { ...physicsOf(isPaper, periodS), ...own };
+  const { physics: own, preset } = request;
+  const physics = { ...physicsOf(own === 'paper' || preset === 'paper', periodS),
+    ...(typeof own === 'object' && own) };
   const listed = request.designs ?? request.initial?.designs ?? [];
-  const springs = listed.length
-    ? listed.reduce((sum, one) => sum + springsOf(one), 0) / listed.length : RANDOM;
-  const plan = { physics, precision: request.precision ?? 'float32', device: 'cpu', like: '',
-    learning: null, isMost: false, isSure: listed.length > 0 };
+  const springs =
+    listed.reduce((sum, one) => sum + springsOf(one) / listed.length, 0) || RANDOM;
+  const plan = { physics, precision: request.precision ?? 'float32', device: 'cuda',
+    isSure: listed.length > 0 };
   if (kind === 'evaluation') {
-    const { best, tolerance, error, random } = request;
-    const blocks = (listed.length || (random?.count ?? 0)) * (tolerance || error ? 5 : 1);
-    return blocks ? { ...plan, isMost: Boolean(best || tolerance),
-      isSure: plan.isSure && !tolerance,
-      scoring: { rollouts: blocks * environments, blocks, springs } } : null;
+    const { best, tolerance, error, random, record, measures, verify } = request;
+    const blocks = (listed.length || random?.count || 0) * (tolerance || error ? 5 : 1);
+    const isLeft = blocks * environments < DEVICE_ROLLOUTS || plan.precision === 'float64' ||
+      tolerance || error || record || verify;
+    return blocks ? { ...plan, device: isLeft ? 'cpu' : 'cuda', isMost: best || tolerance,
+      isSure: plan.isSure && !(tolerance || record || measures),
+      scoring: partOf(blocks, environments, springs) } : null;
   }
   if (kind === 'training') {
-    /** @type {typeof VALIDATION} */
-    const validation = { ...VALIDATION, ...request.validation };
-    const { every_steps: every, designs, environments: worlds } = validation;
-    const times = every ? Math.floor(request.steps / every) + 1 : 0;
+    const { steps, batch } = request;
+    const { every_steps: every, designs, environments: worlds } =
+      /** @type {typeof VALIDATION} */ ({ ...VALIDATION, ...request.validation });
+    const times = every ? Math.floor(steps / every) + 1 : 0;
     return { ...plan, isSure: !isUnknown,
-      scoring: { rollouts: times * designs * worlds, blocks: times * designs, springs: RANDOM },
-      learning: { rollouts: request.steps * request.batch,
-        blocks: request.steps * Math.ceil(request.batch / 32), springs } };
+      scoring: partOf(times * designs, worlds, RANDOM),
+      learning: { ...partOf(steps, batch, springs), blocks: steps * Math.ceil(batch / 32) } };
   }
-  const { population, generations, replicates = 1 } = request;
-  /** @type {any} */
-  const usual = CAMPAIGN_STEPS[request.mode];
-  const steps = usual &&
-    { parent_steps: usual, child_steps: usual, batch: population, ...request.learning };
-  const designs = replicates * population * (1 + generations * (steps ? 2 : 1));
-  const learned = steps ? replicates * steps.batch *
-    (steps.child_steps + generations * (steps.parent_steps + steps.child_steps)) : 0;
+  const { population, generations, replicates = 1, mode, learning } = request;
+  const usual = CAMPAIGN_STEPS[mode];
+  const { parent_steps: onParents = usual, child_steps: onChildren = usual, batch = population } =
+    learning ?? {};
   const size = generations > 3 ? EVOLVED : springs;
-  const learning = { rollouts: learned, blocks: Math.ceil(learned / 32), springs: size };
   return { ...plan, isMost: true, isSure: false,
-    scoring: { rollouts: designs * environments, blocks: designs, springs: size },
-    learning: steps ? learning : null };
+    scoring: partOf(replicates * population * (1 + generations * (usual ? 2 : 1)), environments,
+      size),
+    learning: usual && partOf(replicates * batch / 32 *
+      (onChildren + generations * (onParents + onChildren)), 32, size) };
 }
 
 /**
  * Measures a kind of work with a few random bodies, if the service has not yet computed any.
  * @param {Plan} plan
- * @param {string} controller any: only its period matters
  * @returns {Promise<any[]>} the rates
  */
-async function measured(plan, controller) {
+async function measured(plan) {
   const { items } = await getJson('v1/rates');
   const { dt_s, integrator, control_period_s: period } = plan.physics;
-  if (plan.device !== 'cpu' || items.some((row) =>
-    isLike(row, plan, 'rollouts') && row.steps >= STEPS_MIN)) return items;
+  if (plan.device !== 'cpu' || rowOf(items, plan, 'rollouts')) return items;
   const { items: bodies } = await post('v1/bodies/random', { count: MEASURED });
   for (const { genotype } of bodies) { // one thread computes a body in all its environments
     await post('v1/rollouts', { designs: [{ voxels: genotype }], environments: 'paper-test',
-      record: [], precision: plan.precision, controller,
+      record: [], precision: plan.precision,
       physics: { dt_s, integrator, control_period_s: period || dt_s, n_steps: MEASURED_STEPS } });
   }
   return (await getJson('v1/rates')).items;
 }
 
-/** Returns the seconds of a part of a plan, and what they are based on; null if that is unknown. */
+/** Returns the seconds of a part of a plan, and what they are based on; undefined: unknown. */
 function secondsOf(part, plan, work, rates) {
-  const row = rates.find((one) => isLike(one, plan, work));
-  if (!row) return null;
-  const size = sizeOf({ ...row, steps: row.steps / row.rollouts }, plan.device);
-  return { rollouts: row.rollouts, seconds: row.seconds / size *
-    sizeOf({ ...part, steps: plan.physics.n_steps }, plan.device) };
+  const row = rowOf(rates, plan, work);
+  const sizeFor = (one, steps) => sizeOf({ ...one, steps }, plan.device);
+  return row && { rollouts: row.rollouts, seconds: row.seconds *
+    sizeFor(part, plan.physics.n_steps) / sizeFor(row, row.steps / row.rollouts) };
 }
 
 /**
@@ -139,38 +137,38 @@ function estimateOf(plan, rates, n) {
   const learned = own ?? (learning && scored &&
     secondsOf({ ...learning, rollouts: GRADIENT * learning.rollouts }, plan, 'rollouts', rates));
   if ((!scored && scoring.rollouts) || (learning && !learned)) {
-    return `${what}. Nothing like these was measured here yet.`;
+    return `${what}. Nothing like it was measured here.`;
   }
   const seconds = (scored?.seconds ?? 0) + (learned?.seconds ?? 0);
-  const used = Math.min(n, scoring.blocks + (learning?.blocks ?? 0));
-  const where = device === 'cpu' ? 'core' : 'device';
-  return `${what}: ${plan.isSure && (own || !learning) ? 'about' : 'roughly'} ` +
-    `${countOf(Number(seconds.toPrecision(2)), `${where}-second`)}, ${duration(seconds / used)} ` +
-    `here if nothing else runs. Based on ${both(own, scored)} like these since the service ` +
-    `started${learning && !own ? '; no gradients yet' : ''}.`;
+  // The steps of a training run and the generations of a campaign follow each other.
+  const leastS = seconds / Math.min(n, scoring.blocks + (learning?.blocks ?? 0));
+  const about = seconds < 0.01 ? 'less than' : plan.isSure && own === learned ? 'about' : 'roughly';
+  return `${what}: ${about} ${countOf(Number(Math.max(0.01, seconds).toPrecision(2)),
+    device === 'cpu' ? 'core-second' : 'device-second')}${
+    leastS < 0.01 ? '' : `, at least ${duration(leastS)} here`}. Measured here on ${
+    both(own, (scoring.rollouts || !own) && scored)} with the same settings.`;
 }
 
-/** The line of a form that says what its request will take. */
-export class Estimate {
-  /** @param {string} kind @param {number|undefined} threads @param {number} devices working */
-  constructor(kind, threads, devices) {
-    this.kind = kind;
-    this.threads = threads;
-    this.devices = devices;
-    this.like = '';
-    /** @type {Plan|null} */
-    this.plan = null;
-    this.element = h('p.wide.muted.estimate', { 'aria-live': 'polite' });
-    /** @type {any[]|null} */
-    this.rates = null;
-  }
+/** Whether devices cannot compute this in an environment, or with a task, of a request. */
+const isUnsuited = ({ terrain, task, objective = task?.objective }, learns) =>
+  terrain?.kind === 'grid' || (learns && /^(efficient|jump|\[object)/.test(objective));
 
-  static async make(kind) {
-    const [threads, devices] = await Promise.all(['v1/threads', 'v1/devices'].map((path) =>
-      getJson(path).catch(() => null)));
-    return new Estimate(kind, threads?.n_threads,
-      devices?.items.filter(({ state }) => state === 'working').length ?? 0);
-  }
+/**
+ * Returns the line of a form that says what its request will take.
+ * @param {string} kind of the job
+ */
+export async function estimateFor(kind) {
+  const [threads, devices] = await Promise.all(['v1/threads', 'v1/devices'].map((path) =>
+    getJson(path).catch(() => null)));
+  const working = devices?.items.filter(({ state }) => state === 'working').length;
+  const element = h('p.wide.muted.estimate', { 'aria-live': 'polite' });
+  /** @type {Plan|null} */
+  let plan = null;
+  /** @type {any[]|null} */
+  let rates = null;
+
+  const write = () => say(element, estimateOf(plan, threads && rates,
+    (plan?.device === 'cpu' ? threads?.n_threads : working) || 1));
 
   /**
    * Shows the estimate of a request.
@@ -178,33 +176,30 @@ export class Estimate {
    * @param {any[]} controllers
    * @param {{environments?: number, isUnknown?: boolean}} of see planOf
    */
-  show(request, controllers, of) {
-    const isRandom = request.kind === 'pretrain' || request.mode === 'simultaneous';
-    const named = request.controller ?? (isRandom ? null : 'default');
-    const periodS = named === null ? randomPeriodS(request.preset === 'paper')
-      : controllers.find(({ name, sha256 }) => [name, `sha256:${sha256}`].includes(named))
-        ?.control_period_s ?? 0;
-    this.plan = planOf(this.kind, request, { ...of, periodS });
-    const { plan } = this;
+  function show(request, controllers, of) {
+    const { controller, kind: name, mode, preset, device = 'auto', environments = [],
+      tasks = [] } = request;
+    const named = controller ?? (name === 'pretrain' || mode === 'simultaneous' ? '' : 'default');
+    const periodS = named ? controllers.find(({ name, sha256 }) =>
+      [name, `sha256:${sha256}`].includes(named))?.control_period_s ?? 0
+      : randomPeriodS(preset === 'paper');
+    const before = plan?.like;
+    plan = planOf(kind, request, { ...of, periodS });
     if (plan) {
-      const { device = 'auto' } = request;
-      const suits = this.kind !== 'evaluation' ||
-        (plan.precision === 'float32' && plan.scoring.rollouts >= DEVICE_ROLLOUTS);
-      if (device === 'cuda' || (device === 'auto' && this.devices && suits)) plan.device = 'cuda';
+      if (device !== 'auto') plan.device = device;
+      else if (!working || [environments, tasks].flat().some((one) =>
+        isUnsuited(one, plan.learning))) plan.device = 'cpu';
       plan.like = likeOf({ ...plan.physics, ...plan });
     }
-    this.write();
-    if (!plan || plan.like === this.like) return;
-    const { like } = plan;
-    this.like = like;
-    measured(plan, named ?? 'default').then((rates) => {
-      this.rates = rates;
-      if (like === this.like) this.write();
+    write();
+    const like = plan?.like;
+    if (!like || like === before) return;
+    measured(plan).then((found) => {
+      if (like !== plan?.like) return;
+      rates = found;
+      write();
     }).catch(() => {}); // the number of rollouts is still shown
   }
 
-  write() {
-    const n = this.plan?.device === 'cpu' ? this.threads : this.devices;
-    say(this.element, estimateOf(this.plan, this.threads ? this.rates : null, n || 1));
-  }
+  return { element, show };
 }

@@ -52,7 +52,7 @@ const PARTS = {
     const fixed = job.displaced_starts && !job.tolerance ? { error: true } : {};
     if (job.random) {
       fixed.random = { count: job.n_designs, seed: job.random.seed, first: job.random.first };
-      return { fixed, words: [`${countOf(job.n_designs, 'random body', 'random bodies')}`] };
+      return { fixed, words: [countOf(job.n_designs, 'random body', 'random bodies')] };
     }
     const whole = await getJson(pathOf(job));
     if (!whole.results) {

@@ -4,7 +4,7 @@ import { getJson, post } from '../lib/api.js';
 import { button, h } from '../lib/dom.js';
 import { commandsOf } from '../lib/commands.js';
 import { CAMPAIGN_PRESETS, TRAINING_PRESETS, TRAINING_STEPS } from '../lib/defaults.js';
-import { Estimate } from '../lib/estimate.js';
+import { estimateFor } from '../lib/estimate.js';
 import { shellWord } from '../lib/format.js';
 import { KINDS } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
@@ -79,7 +79,7 @@ export function startButton(app, kind, attributes = {}) {
  */
 export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {}) {
   const [contract, { items }, estimate] = await Promise.all([app.contract(),
-    getJson('v1/controllers?limit=1000'), Estimate.make(kind)]);
+    getJson('v1/controllers?limit=1000'), estimateFor(kind)]);
   const controllers = items.map(({ name }) => name).filter(Boolean);
   const [first, others] = [FIRST[kind], MORE[kind]].map((names) =>
     fieldsOf(kind, names.filter((name) => !(name in fixed)), contract, controllers, proposed));
