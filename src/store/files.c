@@ -89,7 +89,8 @@ static int write_and_sync(const struct mo_store *store, int fd, const uint8_t *b
 static bool has_bytes(const char *path, const uint8_t *bytes, size_t size)
 {
   uint8_t *there = NULL;
-  const bool same = mo_file_read(path, size, &there) == MO_OK && memcmp(there, bytes, size) == 0;
+  const bool same =
+      mo_file_read(path, size, &there) == MO_OK && there != NULL && memcmp(there, bytes, size) == 0;
   free(there);
   return same;
 }

@@ -17,7 +17,7 @@ def test_same_bits(daemon, worker, seed, mode):
     if is_quick:
         value |= {"physics": RACE["physics"], "environments": RACE["environments"]}
     expected, needed, _ = undisturbed(daemon, "alone", value)
-    whole = undisturbed(daemon, "whole", value | {"racing": "off"})[0]
+    whole, unraced, _ = undisturbed(daemon, "whole", value | {"racing": "off"})
     last = value["generations"]
     with daemon("remote", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
         workers, names = [], 0
@@ -35,7 +35,8 @@ def test_same_bits(daemon, worker, seed, mode):
         result = history(one, job)
         for part, what in expected.items():
             assert result[part] == what, f"{part} differ from those of one daemon"
-        assert check_same_lives(result, whole) > 0 or not is_quick
+        # With some seeds, no design can be cut.
+        assert (check_same_lives(result, whole) > 0) == (needed < unraced)
         assert rollouts(one) == needed
         status = one.json("/v1/fleet")
         # Workers computed everything, and nothing was counted twice. Robots of gradients count as
