@@ -275,7 +275,7 @@ def many_robots(data, page):
     ids = [item["id"] for item in data.service.get("/v1/designs?limit=256")["items"]]
     assert len(ids) == 256
     loaded = page.load("stage?designs=" + ",".join(ids), "firstPicture()")
-    assert page.run("return document.querySelector('.stage').player.stage.robots.length") == 256
+    page.until("document.querySelector('.stage').player.stage.robots.length === 256")  # in groups
     yield "256 robots on the stage, first draw", loaded / 1e3, "s", None
     yield "256 robots, script of a frame", statistics.median(page.script(FRAMES)), "ms", None
 
