@@ -238,7 +238,7 @@ static void count(struct worker *worker, const struct mo_block *block)
   atomic_fetch_add(&compute->rollouts_diverged, diverged);
 }
 
-/* Returns whether a scoring block's time tells that of others: passive bodies take less, and
+/* Returns whether other scoring blocks take about as long: passive bodies take less time, and
  * recordings, measures and states take more. */
 static bool is_plain(const struct mo_block *block)
 {

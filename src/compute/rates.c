@@ -11,7 +11,7 @@ static bool is_same_kind(const struct mo_rate *a, const struct mo_rate *b)
          a->control_period_s == b->control_period_s;
 }
 
-/* Returns the position of a row of the kind, which it creates if there is none. */
+/* Returns the position of the row for this kind of work. Creates the row if it does not exist. */
 static uint32_t row_for(struct mo_rates *rates, const struct mo_rate *work)
 {
   uint32_t oldest = 0;

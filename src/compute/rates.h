@@ -1,6 +1,7 @@
 /* rates.h: sums the time that computing has taken since the start, by kind of work.
  *
- * The sums tell what further work of the same kind will take. Time does not change any result. */
+ * Clients estimate from the sums how long more work of the same kind will take. Times do not affect
+ * any result. */
 #ifndef MORPHO_COMPUTE_RATES_H
 #define MORPHO_COMPUTE_RATES_H
 

@@ -38,7 +38,7 @@ size_t mo_environment_packed_bytes(const struct mo_environment *environment, uns
 void mo_environment_pack(const struct mo_environment *environment, unsigned version,
                          uint8_t *bytes);
 /* Reads one environment from the start of `bytes`; *used: its bytes, or 0 if it is cut off. The
- * caller drops its grid (mo_environments_drop); after an error there is none. Checks words and the
+ * caller drops its grid (mo_environments_drop), unless an error was returned. Checks words and the
  * grid only. MO_ERR_FORMAT, MO_ERR_NO_MEMORY. */
 int mo_environment_unpack(unsigned version, const uint8_t *bytes, size_t size,
                           struct mo_environment *environment, size_t *used);

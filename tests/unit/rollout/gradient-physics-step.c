@@ -183,7 +183,7 @@ static double misfit(const struct both *b, uint32_t m, const struct near *near, 
 
 /* Searches near mass m's state for one at which the reference's contact agrees with the fast path
  * in the state, ∂loss/∂ velocity and, with near->rest, ∂loss/∂ position. Sets the shift; returns
- * false if there is none nearby.
+ * false if no state nearby agrees.
  *
  * The first half of the tries goes anywhere nearby, and so to both sides of a kink. The others go
  * ever closer to the best one: just after a kink, adjoints change a lot within what float32

@@ -17,16 +17,6 @@ static void setup(void)
   robots = make_robots(lattice, 5, 5, BODIES);
 }
 
-/* Both integrators, both ways to find an impact, held outputs. */
-static struct mo_physics physics_number(uint32_t k, uint32_t n_steps)
-{
-  struct mo_physics physics = physics_of(n_steps);
-  physics.scheme.integrator = k % 2 == 0 ? MO_INTEGRATOR_PAPER : MO_INTEGRATOR_SPLIT;
-  physics.scheme.impact = k % 3 == 2 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
-  physics.scheme.control_period_s = k % 4 == 3 ? 4 * physics.scheme.dt_s : 0;
-  return physics;
-}
-
 /* ---- the same ground ---- */
 
 /* The ground of an environment as a grid of 7 · times cells: with 1 that of the same heights. */
@@ -57,7 +47,7 @@ static void usual_size(void)
   for (uint32_t k = 0; k < 12; k++) {
     const size_t kept = check_n_kept;
     const struct mo_body *body = robots[k % BODIES].body;
-    const struct mo_physics physics = physics_number(k, 100);
+    const struct mo_physics physics = ground_physics(k, 100);
     struct mo_environment both[2];
     struct mo_outcome outcomes[2];
     double *d[2] = {make_zeros(n, sizeof(double)), make_zeros(n, sizeof(double))};
@@ -104,7 +94,7 @@ static void refined(void)
   for (uint32_t k = 0; k < 12; k++) {
     const size_t kept = check_n_kept;
     const struct mo_body *body = robots[k % BODIES].body;
-    const struct mo_physics physics = physics_number(k, 100);
+    const struct mo_physics physics = ground_physics(k, 100);
     struct mo_environment both[2];
     struct mo_outcome outcomes[2];
     mo_environment_training(36, 0, k, &both[0]);
@@ -151,38 +141,12 @@ static void kernels(void)
 {
   struct mo_environment environments[LANES];
   make_environments(environments);
-  follow_lives(controller, robots, environments, physics_number, 60);
+  follow_lives(controller, robots, environments, ground_physics, 60);
 }
 
-/* Bodies that blow up: their places are soon infinite or undefined, and no other lane notices. */
 static void divergence(void)
 {
-  struct mo_physics physics = physics_of(400);
-  struct mo_environment environments[LANES];
-  const struct mo_body *body = make_full_body(lattice);
-  uint32_t lanes[LANES];
-  physics.constants.stiffness_n_per_m = 21000;
-  for (uint32_t l = 0; l < LANES; l++) {
-    lanes[l] = l;
-    mo_environment_training(34, 0, l, &environments[l]);
-    if (l % 4 != 3)
-      set_grid(&environments[l], l, 0.03);
-  }
-  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
-    for (int precision = MO_FLOAT32; precision <= MO_FLOAT64; precision++) {
-      const struct mo_pack *pack =
-          make_pack(controller, (enum mo_isa)isa, (enum mo_precision)precision);
-      struct mo_outcome outcomes[LANES], one;
-      uint32_t diverged = 0;
-      block_of(pack, body, environments, lanes, LANES, &physics, outcomes);
-      for (uint32_t l = 0; l < LANES; l++) {
-        diverged += outcomes[l].diverged_step > 0;
-        CHECK(isfinite(outcomes[l].com_end_m[0]) && isfinite(outcomes[l].com_end_m[2]));
-        block_of(pack, body, environments, lanes + l, 1, &physics, &one);
-        CHECK(SAME(&one, &outcomes[l], 1));
-      }
-      CHECK(diverged > 0);
-    }
+  follow_divergence(controller, lattice, set_grid);
 }
 
 /* ---- the gradient's kernel ---- */
@@ -194,7 +158,7 @@ static void gradients(void)
   make_environments(environments);
   for (uint32_t k = 0; k < LANES; k++)
     own[k] = (struct mo_robot){robots[k % BODIES].body, &environments[k], NULL};
-  follow_gradients(controller, own, physics_number, 1e-3);
+  follow_gradients(controller, own, ground_physics, 1e-3);
 }
 
 static const struct check_case cases[] = {

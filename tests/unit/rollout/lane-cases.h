@@ -87,6 +87,53 @@ follow_lives(const struct mo_controller *controller, const struct mo_robot *robo
     }
 }
 
+/* Both integrators, both ways to find an impact, held outputs. */
+static inline struct mo_physics ground_physics(uint32_t k, uint32_t n_steps)
+{
+  struct mo_physics physics = physics_of(n_steps);
+  physics.scheme.integrator = k % 2 == 0 ? MO_INTEGRATOR_PAPER : MO_INTEGRATOR_SPLIT;
+  physics.scheme.impact = k % 3 == 2 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
+  physics.scheme.control_period_s = k % 4 == 3 ? 4 * physics.scheme.dt_s : 0;
+  return physics;
+}
+
+/* Bodies that blow up on grounds of set_ground, with every fourth as usual: their places are soon
+ * infinite or undefined, and no other lane notices. */
+static inline void follow_divergence(const struct mo_controller *controller,
+                                     const struct mo_lattice *lattice,
+                                     void (*set_ground)(struct mo_environment *environment,
+                                                        uint64_t k, double sigma_m))
+{
+  struct mo_physics physics = physics_of(400);
+  struct mo_environment environments[LANES];
+  const struct mo_body *body = make_full_body(lattice);
+  uint32_t lanes[LANES];
+  physics.constants.stiffness_n_per_m = 21000;
+  for (uint32_t l = 0; l < LANES; l++) {
+    lanes[l] = l;
+    mo_environment_training(34, 0, l, &environments[l]);
+    if (l % 4 != 3)
+      set_ground(&environments[l], l, 0.03);
+  }
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
+    for (int precision = MO_FLOAT32; precision <= MO_FLOAT64; precision++) {
+      const struct mo_pack *pack =
+          make_pack(controller, (enum mo_isa)isa, (enum mo_precision)precision);
+      struct mo_outcome outcomes[LANES], one;
+      uint32_t diverged = 0;
+      block_of(pack, body, environments, lanes, LANES, &physics, outcomes);
+      for (uint32_t l = 0; l < LANES; l++) {
+        diverged += outcomes[l].diverged_step > 0;
+        CHECK(isfinite(outcomes[l].com_end_m[0]) && isfinite(outcomes[l].com_end_m[2]));
+        block_of(pack, body, environments, lanes + l, 1, &physics, &one);
+        CHECK(SAME(&one, &outcomes[l], 1));
+      }
+      printf("# %s, %s: %u of %d diverged\n", mo_isa_name((enum mo_isa)isa),
+             precision == MO_FLOAT32 ? "float32" : "float64", diverged, LANES);
+      CHECK(diverged > 0);
+    }
+}
+
 /* Checks the gradients of LANES robots on every instruction set, with four settings of physics: at
  * most `most` from the reference, twice that where impacts are bisected. */
 static inline void

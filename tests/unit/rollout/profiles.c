@@ -16,16 +16,6 @@ static void setup(void)
   robots = make_robots(lattice, 5, 5, BODIES);
 }
 
-/* Both integrators, both ways to find an impact, held outputs. */
-static struct mo_physics physics_number(uint32_t k, uint32_t n_steps)
-{
-  struct mo_physics physics = physics_of(n_steps);
-  physics.scheme.integrator = k % 2 == 0 ? MO_INTEGRATOR_PAPER : MO_INTEGRATOR_SPLIT;
-  physics.scheme.impact = k % 3 == 2 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
-  physics.scheme.control_period_s = k % 4 == 3 ? 4 * physics.scheme.dt_s : 0;
-  return physics;
-}
-
 /* ---- the same plane twice ---- */
 
 /* h = 0.5 + slope · x for 0 ≤ x ≤ 5 m, as a grid and as a profile. */
@@ -52,7 +42,7 @@ static void planes(void)
   for (uint32_t k = 0; k < 12; k++) {
     const size_t kept = check_n_kept;
     const struct mo_body *body = robots[k % BODIES].body;
-    const struct mo_physics physics = physics_number(k, 60);
+    const struct mo_physics physics = ground_physics(k, 60);
     struct mo_environment both[2];
     struct mo_outcome reference[2], outcomes[2];
     double *d[2] = {make_zeros(n, sizeof(double)), make_zeros(n, sizeof(double))}, error = 0,
@@ -108,7 +98,7 @@ static void kernels(void)
 {
   struct mo_environment environments[LANES];
   make_environments(environments);
-  follow_lives(controller, robots, environments, physics_number, 60);
+  follow_lives(controller, robots, environments, ground_physics, 60);
 }
 
 /* Recorded masses are on the profile or above it, at every step, and none leaves the world. */
@@ -127,7 +117,7 @@ static void never_below(void)
   }
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
     for (uint32_t variant = 0; variant < 4; variant++) {
-      const struct mo_physics physics = physics_number(variant, STEPS);
+      const struct mo_physics physics = ground_physics(variant, STEPS);
       const struct mo_pack *pack =
           make_pack(controller, (enum mo_isa)isa, variant < 2 ? MO_FLOAT32 : MO_FLOAT64);
       struct mo_recording recordings[LANES];
@@ -146,37 +136,9 @@ static void never_below(void)
     }
 }
 
-/* Bodies that blow up: their places are soon infinite or undefined, and no other lane notices. */
 static void divergence(void)
 {
-  struct mo_physics physics = physics_of(400);
-  struct mo_environment environments[LANES];
-  const struct mo_body *body = make_full_body(lattice);
-  uint32_t lanes[LANES];
-  physics.constants.stiffness_n_per_m = 21000;
-  for (uint32_t l = 0; l < LANES; l++) {
-    lanes[l] = l;
-    mo_environment_training(34, 0, l, &environments[l]);
-    if (l % 4 != 3)
-      set_profile(&environments[l], l, 0.03);
-  }
-  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
-    for (int precision = MO_FLOAT32; precision <= MO_FLOAT64; precision++) {
-      const struct mo_pack *pack =
-          make_pack(controller, (enum mo_isa)isa, (enum mo_precision)precision);
-      struct mo_outcome outcomes[LANES], one;
-      uint32_t diverged = 0;
-      block_of(pack, body, environments, lanes, LANES, &physics, outcomes);
-      for (uint32_t l = 0; l < LANES; l++) {
-        diverged += outcomes[l].diverged_step > 0;
-        CHECK(isfinite(outcomes[l].com_end_m[0]) && isfinite(outcomes[l].com_end_m[2]));
-        block_of(pack, body, environments, lanes + l, 1, &physics, &one);
-        CHECK(SAME(&one, &outcomes[l], 1));
-      }
-      printf("# %s, %s: %u of %d diverged\n", mo_isa_name((enum mo_isa)isa),
-             precision == MO_FLOAT32 ? "float32" : "float64", diverged, LANES);
-      CHECK(diverged > 0);
-    }
+  follow_divergence(controller, lattice, set_profile);
 }
 
 /* ---- the gradient's kernel ---- */
@@ -188,7 +150,7 @@ static void gradients(void)
   make_environments(environments);
   for (uint32_t k = 0; k < LANES; k++)
     own[k] = (struct mo_robot){robots[k % BODIES].body, &environments[k], NULL};
-  follow_gradients(controller, own, physics_number, 1e-3);
+  follow_gradients(controller, own, ground_physics, 1e-3);
 }
 
 /* ---- behavior ---- */
