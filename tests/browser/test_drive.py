@@ -60,6 +60,13 @@ import(folder + 'stage/drive.js').then(async ({ Drive }) => {
 });
 """
 
+# Keeps what the page saves as files.
+KEEP_FILES = """
+    window.saved = [];
+    const make = URL.createObjectURL;
+    URL.createObjectURL = (blob) => { saved.push(blob); return make(blob); };
+"""
+
 
 def fake(browser, script):
     browser.open("nowhere")
@@ -319,11 +326,7 @@ def test_a_drive_is_saved(service, browser, tmp_path):
     canvas = browser.driver.find_element("css selector", ".stage canvas")
     canvas.send_keys("a")
     browser.until("document.querySelector('.stage').player.live.drive.timeS > 1.2")
-    browser.run("""
-        window.saved = [];
-        const make = URL.createObjectURL;
-        URL.createObjectURL = (blob) => { saved.push(blob); return make(blob); };
-    """)
+    browser.run(KEEP_FILES)
     browser.click("Save")
     browser.until("document.querySelector('dialog[open]')")
     text = browser.texts("dialog")[0]
@@ -364,12 +367,7 @@ def test_a_saved_drive_of_two_controllers_has_both(service, browser):
     start(browser, f"stage?designs={robot}&controller=default,tuned")
     browser.click("Save")
     browser.until("document.querySelector('dialog[open]')")
-    browser.run("""
-        window.saved = [];
-        const make = URL.createObjectURL;
-        URL.createObjectURL = (blob) => { saved.push(blob); return make(blob); };
-        document.querySelector('dialog details').open = true;
-    """)
+    browser.run(KEEP_FILES + "document.querySelector('dialog details').open = true;")
     browser.click("Recording (scene)")
     browser.until("saved.length")
     data = bytes(browser.driver.execute_async_script(
