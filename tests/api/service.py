@@ -101,9 +101,11 @@ class Service:
         command = [BINARY, f"--state-dir={self.state}", f"--port-file={port_file}", "--workers=1"]
         command += [f"--listen={address}" for address in listen]
         command += [f"--default-controller={BOOTSTRAP}", *flags]
-        # Tests use the processors unless they say otherwise.
-        if not any(flag.startswith("--devices") for flag in flags):
-            command.append("--devices=none")
+        # Unless a test says otherwise, it uses the processors, and a stop parks running work: how
+        # much is left after a restart must not depend on the machine's speed.
+        for flag in ("--devices=none", "--drain-timeout=0s"):
+            if not any(given.startswith(flag.split("=")[0]) for given in flags):
+                command.append(flag)
         inherited = {key: value for key, value in os.environ.items()
                      if not key.startswith("MORPHOD")}
         if user is not None:

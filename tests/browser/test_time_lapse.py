@@ -1,5 +1,7 @@
 """The time-lapse of a campaign: the champion of each generation, as the service has it."""
 
+import json
+
 import pytest
 
 from conftest import CAMPAIGN, make_study
@@ -185,9 +187,10 @@ def test_another_choice_keeps_the_stage(service, browser):
     shown(browser, id)
     last = f"Number({LAPSE}.querySelector('input').max)"
     slide(browser, browser.run(f"return {last}"))
-    browser.run("document.querySelector('.pick .card').click()")
-    card = "document.querySelector('.pick .card').innerText"
-    browser.until(f"{card}.includes({WALKS}.split(' ')[0])")
+    card = browser.run("""const card = document.querySelector('.pick .card');
+        card.click();
+        return card.innerText;""")  # in a moment, another design may come first
+    browser.until(f"{json.dumps(card)}.includes({WALKS}.split(' ')[0])")
     walks = browser.run("return " + WALKS)
     browser.run(f"window.before = {last}")
     browser.until(f"{last} > before + 1")
