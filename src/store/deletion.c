@@ -13,6 +13,7 @@
 #include <stdlib.h>
 
 #include "base/clock.h"
+#include "store/atlases.h"
 #include "store/checkpoint_files.h"
 #include "store/credible.h"
 #include "store/import_state.h"
@@ -121,6 +122,7 @@ static const char *const parts[] = {PART("recomputed", "position", "16"),
                                     "DELETE FROM idempotency_keys WHERE job=?1",
                                     "DELETE FROM evaluations WHERE job=?1",
                                     "DELETE FROM trainings WHERE job=?1",
+                                    "DELETE FROM atlases WHERE job=?1",
                                     "DELETE FROM study_words WHERE job=?1",
                                     "DELETE FROM studies WHERE job=?1",
                                     "DELETE FROM campaigns WHERE job=?1",
@@ -242,6 +244,7 @@ int mo_store_delete_job(struct mo_store *store, int64_t id, struct mo_deleted *d
   if (error != MO_OK)
     return error;
   *deleted = call.deleted;
+  mo_store_atlas_drop(store, id);
   if (deleted->recorded_bytes > 0)
     mo_recordings_check(store);
   /* The job is deleted even if this fails: the next upkeep or start continues. */

@@ -17,7 +17,8 @@
 static const char *const file_names[] = {"lock",           "reserve",          "morphod.db",
                                          "morphod.db-wal", "morphod.db-shm",   "morphod.db-journal",
                                          "crash-marker",   "crash-marker.last"};
-static const char *const folder_names[] = {"controllers", "trainings", "campaigns", "excluded"};
+static const char *const folder_names[] = {"controllers", "trainings", "campaigns", "excluded",
+                                           "atlases"};
 
 /* Checks the owner of a link, who decides where it leads. Links of root are allowed, because
  * systemd creates one for StateDirectory=. */

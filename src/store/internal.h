@@ -33,7 +33,7 @@ struct mo_operation {
 
 struct mo_store {
   char *path, *database_path, *reserve_path;
-  char *controllers_path, *trainings_path, *campaigns_path, *excluded_path;
+  char *controllers_path, *trainings_path, *campaigns_path, *excluded_path, *atlases_path;
   const char *vfs;
   const struct mo_file_operations *files;
   bool must_exist;

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "base/words.h"
+#include "store/atlases.h"
 #include "store/campaigns.h"
 #include "store/contents.h"
 #include "store/fields.h"
@@ -16,7 +17,7 @@
 
 const char *const mo_job_state_words[] = {"queued", "running",   "paused", "succeeded",
                                           "failed", "cancelled", NULL};
-const char *const mo_job_kind_words[] = {"evaluation", "training", "campaign", NULL};
+const char *const mo_job_kind_words[] = {"evaluation", "training", "campaign", "atlas", NULL};
 
 const char *mo_job_state_name(enum mo_job_state state)
 {
@@ -127,13 +128,31 @@ static int read_campaign(sqlite3_stmt *row, struct mo_job *job, void *any)
   return MO_OK;
 }
 
+static int read_atlas(sqlite3_stmt *row, struct mo_job *job, void *any)
+{
+  struct mo_atlas_record *record = any;
+  const int64_t orientations = sqlite3_column_int64(row, MO_COLUMN_ORIENTATIONS);
+  read_environments(row, job);
+  mo_column_text(row, MO_COLUMN_NAME, record->name, sizeof(record->name));
+  record->voxels = mo_column_u32(row, MO_COLUMN_VOXELS);
+  record->bodies_total = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_BODIES_TOTAL);
+  record->bodies_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_BODIES_DONE);
+  record->rollouts_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_ROLLOUTS_DONE);
+  if (orientations < MO_ATLAS_CANONICAL || orientations > MO_ATLAS_IMAGES || record->voxels < 1 ||
+      record->voxels > MO_ATLAS_VOXELS_MAX || !mo_atlas_name_is_valid(record->name))
+    return MO_ERR_CORRUPT;
+  record->orientations = (enum mo_atlas_orientations)orientations;
+  return mo_column_physics(row, MO_COLUMN_PHYSICS, &job->physics, &job->precision, &job->sensor);
+}
+
 int mo_job_read(sqlite3_stmt *row, struct mo_job *job, void *record)
 {
   static int (*const read[MO_JOB_KINDS])(sqlite3_stmt * row, struct mo_job * job, void *record) = {
-      read_evaluation, read_training, read_campaign};
+      read_evaluation, read_training, read_campaign, read_atlas};
   union {
     struct mo_training_record training;
     struct mo_campaign_record campaign;
+    struct mo_atlas_record atlas;
   } unused;
   const int64_t kind = sqlite3_column_int64(row, MO_COLUMN_KIND),
                 state = sqlite3_column_int64(row, MO_COLUMN_STATE),
@@ -178,12 +197,13 @@ int mo_job_row(struct mo_connection *connection, int64_t id, int kind, sqlite3_s
                                         " LEFT JOIN runs r ON r.job=j.id"
                                         " LEFT JOIN trainings t ON t.job=j.id"
                                         " LEFT JOIN campaigns m ON m.job=j.id"
-                                        " LEFT JOIN controllers c"
-                                        " ON c.id=coalesce(e.controller,r.controller)"
+                                        " LEFT JOIN atlases a ON a.job=j.id"
+                                        " LEFT JOIN controllers c ON"
+                                        " c.id=coalesce(e.controller,r.controller,a.controller)"
                                         " LEFT JOIN controllers x ON x.id=r.result"
-                                        " LEFT JOIN physics p ON p.id=e.physics"
-                                        " LEFT JOIN environment_sets s"
-                                        " ON s.id=coalesce(e.environment_set,m.environment_set)"
+                                        " LEFT JOIN physics p ON p.id=coalesce(e.physics,a.physics)"
+                                        " LEFT JOIN environment_sets s ON s.id=coalesce("
+                                        "e.environment_set,m.environment_set,a.environment_set)"
                                         " WHERE j.id=?1 AND j.state<>6 AND (?2<0 OR j.kind=?2)";
 #undef COLUMN
   return mo_sql_row(connection, row, sql, mo_int(id), mo_int(kind));

@@ -15,6 +15,7 @@
 
 #include "base/clock.h"
 #include "schema.h"
+#include "store/atlas_rows.h"
 #include "store/contents.h"
 #include "store/folder.h"
 #include "store/rows.h"
@@ -34,7 +35,7 @@ static char *join(const char *folder, const char *name)
 static int prepare_folders(struct mo_store *store, struct mo_message *message)
 {
   const char *const paths[] = {store->controllers_path, store->trainings_path,
-                               store->campaigns_path};
+                               store->campaigns_path, store->atlases_path};
   for (size_t i = 0; i < sizeof(paths) / sizeof(paths[0]); i++) {
     const int error = mo_folder_make(store, store->path, paths[i]);
     if (error != MO_OK)
@@ -349,6 +350,7 @@ static void free_store(struct mo_store *store)
   free(store->database_path);
   free(store->controllers_path);
   free(store->excluded_path);
+  free(store->atlases_path);
   free(store->trainings_path);
   free(store->campaigns_path);
   free(store->reserve_path);
@@ -369,6 +371,7 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
       .trainings_path = join(path, "trainings"),
       .campaigns_path = join(path, "campaigns"),
       .excluded_path = join(path, "excluded"),
+      .atlases_path = join(path, "atlases"),
       .reserve_path = join(path, "reserve"),
       .vfs = config->vfs,
       .files = config->files != NULL ? config->files : &mo_system_files,
@@ -401,7 +404,8 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
   store->readers = calloc(store->n_readers + 1, sizeof(*store->readers));
   if (store->database_path == NULL || store->controllers_path == NULL ||
       store->trainings_path == NULL || store->campaigns_path == NULL ||
-      store->excluded_path == NULL || store->reserve_path == NULL || store->readers == NULL) {
+      store->excluded_path == NULL || store->atlases_path == NULL || store->reserve_path == NULL ||
+      store->readers == NULL) {
     free_store(store);
     return NULL;
   }
@@ -436,6 +440,8 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
     error = prepare_database(store, message);
   if (error == MO_OK)
     error = mo_files_sort_out(store, &store->writer, true);
+  if (error == MO_OK)
+    error = mo_atlases_sort_out(store);
   if (error == MO_OK)
     error = mo_readers_open(store);
   if (error == MO_OK) {

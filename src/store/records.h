@@ -39,8 +39,13 @@
 #define MO_WEIGHT_MIN            1e-3 /* of a job */
 #define MO_WEIGHT_MAX            1e3
 
-enum mo_job_kind { MO_JOB_EVALUATION = 0, MO_JOB_TRAINING = 1, MO_JOB_CAMPAIGN = 2 };
-#define MO_JOB_KINDS 3
+enum mo_job_kind {
+  MO_JOB_EVALUATION = 0,
+  MO_JOB_TRAINING = 1,
+  MO_JOB_CAMPAIGN = 2,
+  MO_JOB_ATLAS = 3
+};
+#define MO_JOB_KINDS 4
 enum mo_job_state {
   MO_JOB_QUEUED = 0,
   MO_JOB_RUNNING = 1,
@@ -51,7 +56,7 @@ enum mo_job_state {
 };
 #define MO_JOB_STATES 6 /* in the database, 6 is a job that is being deleted */
 const char *mo_job_state_name(enum mo_job_state state); /* "queued" … "cancelled" */
-const char *mo_job_kind_name(enum mo_job_kind kind);    /* "evaluation", "training", "campaign" */
+const char *mo_job_kind_name(enum mo_job_kind kind);    /* "evaluation", "training" … "atlas" */
 extern const char *const mo_job_state_words[], *const mo_job_kind_words[]; /* base/words.h */
 static inline bool mo_job_state_is_final(enum mo_job_state state)
 {

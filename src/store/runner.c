@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "store/atlases.h"
 #include "store/contents.h"
 #include "store/jobs.h"
 #include "store/recordings.h"
@@ -71,6 +72,8 @@ int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change c
       is_urgent ? mo_write_urgent(store, change_job, &call) : mo_write(store, change_job, &call);
   if (error == MO_OK && change == MO_CHANGE_CANCEL && mo_recordings_are_many(store))
     mo_recordings_check(store);
+  if (error == MO_OK && change == MO_CHANGE_CANCEL)
+    mo_store_atlas_drop(store, id);
   if (error == MO_OK && before != NULL)
     *before = call.before;
   return error;
@@ -154,7 +157,9 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
       "EXISTS(SELECT 1 FROM campaign_generations WHERE job=j.id AND stored_us>?1) OR "
       /* Losses have no time of their own; this event is committed with some of them. */
       "EXISTS(SELECT 1 FROM events WHERE job=j.id AND time_us>?1 AND type='campaign.progress'"
-      " AND data LIKE '%\"phase\":\"scoring\"%'),NULL,j.id) idle"
+      " AND data LIKE '%\"phase\":\"scoring\"%') OR "
+      "EXISTS(SELECT 1 FROM events WHERE job=j.id AND time_us>?1 AND type='atlas.progress'),"
+      "NULL,j.id) idle"
       " FROM jobs j WHERE j.state=1 AND j.kind<>0)";
   int64_t found[3] = {0, 0, 0};
   const int error = mo_read_integers(store, sql, MO_VALUES(mo_int(since_us)), 3, found);

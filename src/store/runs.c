@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "store/atlases.h"
 #include "store/campaigns.h"
 #include "store/controller_rows.h"
 #include "store/fields.h"
@@ -118,6 +119,7 @@ int mo_run_announce_warnings(struct mo_store *store, int64_t id, bool is_new)
   union {
     struct mo_training_record training;
     struct mo_campaign_record campaign;
+    struct mo_atlas_record atlas;
   } record;
   struct mo_job job;
   sqlite3_stmt *row;

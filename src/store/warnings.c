@@ -200,6 +200,7 @@ int mo_job_warn(struct mo_connection *connection, struct mo_job *job, const void
     warn_of_rollouts(job);
     warn_of_physics(job);
     return warn_of_lights(connection, job, job->id);
+  case MO_JOB_ATLAS: warn_of_physics(job); return warn_of_lights(connection, job, job->id);
   case MO_JOB_TRAINING: {
     const int error = warn_of_step(connection, job, record);
     warn_of_physics(job);
