@@ -78,8 +78,8 @@ struct mo_atlas_source {
 };
 
 /* Writes a file, body by body in order. Until it is complete, it is PATH.part. If the process or
- * the machine stops, a new writer of the same path continues after the last whole block, which is
- * durable. The same source, environments and losses give the same bytes. Not for concurrent use. */
+ * the machine stops, a new writer of the same path continues after the last whole block, or after
+ * the last body that mo_atlas_writer_save has saved, which are durable. The same source, environments and losses give the same bytes. Not for concurrent use. */
 struct mo_atlas_writer;
 /* environments: (n). Finds all bodies of the scope first, to count them. MO_ERR_CONFLICT: PATH
  * exists, or PATH.part belongs to another atlas; MO_ERR_BUSY: another writer has it; MO_ERR_RANGE,
@@ -93,9 +93,13 @@ uint64_t mo_atlas_writer_position(const struct mo_atlas_writer *writer); /* the 
 uint64_t mo_atlas_writer_bodies(const struct mo_atlas_writer *writer);   /* in all */
 /* Adds the next body. form: to check that it is this one (MO_ERR_CONFLICT: nothing was added).
  * losses: (n environments), with `images` the means over the images; finite or +infinity
- * (MO_ERR_INVALID: nothing was added). After MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY or MO_ERR_IO, free
- * the writer; a new one continues. */
+ * (MO_ERR_INVALID: nothing was added). MO_ERR_NO_SPACE: nothing was added; try again when there is
+ * space. After MO_ERR_NO_MEMORY or MO_ERR_IO, free the writer; a new one continues. */
 int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses);
+/* Makes all added bodies durable, which otherwise happens block by block. MO_ERR_NO_SPACE,
+ * MO_ERR_NO_MEMORY: try again; until then, saved bodies of the last block may be lost. MO_ERR_IO:
+ * as for mo_atlas_writer_add. */
+int mo_atlas_writer_save(struct mo_atlas_writer *writer);
 /* Completes the file durably. MO_ERR_INVALID: bodies are missing; otherwise as for
  * mo_atlas_writer_add. After an error, PATH may exist: then it is complete, but its name may not
  * survive a power failure. */

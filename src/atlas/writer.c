@@ -4,7 +4,10 @@
  * complete and synced. A writer that finds a PATH.part compares its head and environments with its
  * own, checks its blocks, cuts it off after the last whole one, and continues there. Whatever a
  * crash left behind is either a whole block or cut off, so the file does not depend on where it
- * was interrupted. The lock of PATH.part keeps other writers away, and ends with the process. */
+ * was interrupted. The lock of PATH.part keeps other writers away, and ends with the process.
+ *
+ * The bodies of an unfinished block are saved as a block of so many bodies, in the place of the
+ * whole one, which later replaces it. */
 #include "atlas/writer.h"
 
 #include "atlas/bodies.h"
@@ -35,6 +38,7 @@ struct mo_atlas_writer {
   uint64_t next_key;
   uint64_t block;     /* index of the block that is being filled */
   uint32_t filled;    /* its bodies so far */
+  uint32_t saved;     /* those of them that PATH.part has */
   uint8_t *bytes;     /* its bytes, and room for the largest block */
   uint8_t *beginning; /* the head and the environments */
   size_t beginning_bytes;
@@ -72,16 +76,60 @@ static int append(struct mo_atlas_writer *writer, uint64_t end, const uint8_t *b
   return error;
 }
 
-/* Completes the head and the checksum of the block, and writes it. */
-static int write_block(struct mo_atlas_writer *writer, const struct mo_atlas_block *block)
+/* Completes the head and the checksum of a block, and writes it. */
+static int write_block(struct mo_atlas_writer *writer, const struct mo_atlas_block *block,
+                       uint8_t *bytes)
 {
   const struct mo_atlas_block_head head = {
       .n_voxels = block->n_voxels, .n = block->n, .position = block->position};
   const size_t checked = mo_atlas_checksum_at(block->n, writer->layout.n_environments);
-  memcpy(writer->bytes, &head, sizeof(head));
-  const uint64_t checksum = mo_form_hash(writer->bytes, checked);
-  memcpy(writer->bytes + checked, &checksum, sizeof(checksum));
-  return append(writer, block->begin, writer->bytes, block->bytes);
+  memcpy(bytes, &head, sizeof(head));
+  const uint64_t checksum = mo_form_hash(bytes, checked);
+  memcpy(bytes + checked, &checksum, sizeof(checksum));
+  const int error = append(writer, block->begin, bytes, block->bytes);
+  if (error != MO_OK) /* what was saved of it is gone */
+    writer->saved = 0;
+  return error;
+}
+
+/* The beginning of a block as a block of its own. */
+static struct mo_atlas_block some_of(const struct mo_atlas_writer *writer,
+                                     const struct mo_atlas_block *block, uint32_t n)
+{
+  struct mo_atlas_block some = *block;
+  some.n = n;
+  some.bytes = mo_atlas_checksum_at(n, writer->layout.n_environments) + sizeof(uint64_t);
+  return some;
+}
+
+/* Copies the first n bodies of a block to one of another size. */
+static void copy_bodies(const struct mo_atlas_writer *writer, uint32_t n, const uint8_t *from,
+                        uint32_t from_n, uint8_t *to, uint32_t to_n)
+{
+  const size_t head = sizeof(struct mo_atlas_block_head);
+  memcpy(to + head, from + head, 8 * (size_t)n);
+  memcpy(to + mo_atlas_scores_at(to_n), from + mo_atlas_scores_at(from_n), 4 * (size_t)n);
+  memcpy(to + mo_atlas_losses_at(to_n), from + mo_atlas_losses_at(from_n),
+         2 * (size_t)n * writer->layout.n_environments);
+}
+
+int mo_atlas_writer_save(struct mo_atlas_writer *writer)
+{
+  if (writer->error != MO_OK || writer->filled == writer->saved)
+    return writer->error;
+  const struct mo_atlas_block block = mo_atlas_block_of(&writer->layout, writer->block);
+  const struct mo_atlas_block some = some_of(writer, &block, writer->filled);
+  uint8_t *bytes = calloc(1, some.bytes);
+  if (bytes == NULL)
+    return MO_ERR_NO_MEMORY;
+  copy_bodies(writer, some.n, writer->bytes, block.n, bytes, some.n);
+  const int error = write_block(writer, &some, bytes);
+  free(bytes);
+  if (error == MO_OK)
+    writer->saved = writer->filled;
+  else if (error != MO_ERR_NO_SPACE)
+    writer->error = error;
+  return error;
 }
 
 /* Puts a body into the block that is being filled. */
@@ -131,10 +179,15 @@ int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, co
   if (isnan(sum) || isinf(sum) < 0 || isnan((float)sum)) /* −infinity, or both infinities */
     return MO_ERR_INVALID;
   put(writer, &block, losses);
+  if (writer->filled + 1 == block.n) {
+    const int error = write_block(writer, &block, writer->bytes);
+    if (error == MO_ERR_NO_SPACE)
+      return error;
+    writer->error = error;
+  }
   writer->position++;
   if (++writer->filled == block.n) {
-    writer->error = write_block(writer, &block);
-    writer->filled = 0;
+    writer->filled = writer->saved = 0;
     writer->block++;
   }
   if (writer->error == MO_OK)
@@ -198,19 +251,47 @@ static int compare_beginning(const struct mo_atlas_writer *writer, uint64_t file
   return error == MO_ERR_CORRUPT ? MO_ERR_IO : error;
 }
 
-/* Passes the whole blocks, and cuts off the rest. */
+/* Takes the saved beginning of the next block, if it is the end of the file. Returns its bytes, or
+ * 0. */
+static size_t take_saved(struct mo_atlas_writer *writer, uint64_t end, uint64_t file_bytes,
+                         bool has_last, uint64_t *last)
+{
+  const struct mo_atlas_block block = mo_atlas_block_of(&writer->layout, writer->block);
+  const uint64_t left = file_bytes - end;
+  struct mo_atlas_block_head head = {.n = 0};
+  uint8_t *bytes = left >= sizeof(head) && left < block.bytes ? malloc(left) : NULL;
+  bool is_whole = bytes != NULL && mo_file_read_at(writer->fd, end, left, bytes) == MO_OK;
+  if (is_whole)
+    memcpy(&head, bytes, sizeof(head));
+  const struct mo_atlas_block some = some_of(writer, &block, head.n);
+  is_whole = is_whole && head.n > 0 && head.n < block.n && some.bytes == left &&
+             mo_atlas_block_check(&some, writer->layout.n_environments, &writer->sets, bytes,
+                                  has_last, last) == MO_OK;
+  if (is_whole) {
+    memset(writer->bytes, 0, block.bytes);
+    copy_bodies(writer, some.n, bytes, some.n, writer->bytes, block.n);
+    writer->filled = writer->saved = some.n;
+    writer->position = block.position + some.n;
+  }
+  free(bytes);
+  return is_whole ? some.bytes : 0;
+}
+
+/* Passes the whole blocks and a saved one, and cuts off the rest. */
 static int pass_blocks(struct mo_atlas_writer *writer, uint64_t file_bytes)
 {
   const uint64_t blocks = writer->layout.blocks[MO_ATLAS_VOXELS_MAX];
   uint64_t last = 0, end = writer->beginning_bytes;
   for (; writer->block < blocks; writer->block++) {
     const struct mo_atlas_block block = mo_atlas_block_of(&writer->layout, writer->block);
-    if (block.begin + block.bytes > file_bytes)
+    const bool has_last = block.position > writer->layout.firsts[block.n_voxels - 1];
+    if (block.begin + block.bytes > file_bytes) {
+      end += take_saved(writer, end, file_bytes, has_last, &last);
       break;
+    }
     const int error = mo_file_read_at(writer->fd, block.begin, block.bytes, writer->bytes);
     if (error != MO_OK)
       return error == MO_ERR_CORRUPT ? MO_ERR_IO : error;
-    const bool has_last = block.position > writer->layout.firsts[block.n_voxels - 1];
     if (mo_atlas_block_check(&block, writer->layout.n_environments, &writer->sets, writer->bytes,
                              has_last, &last) != MO_OK)
       break;

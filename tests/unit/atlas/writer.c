@@ -84,6 +84,48 @@ static void killed(void)
   }
 }
 
+/* Saved bodies of an unfinished block are there after a kill, and its end may be torn. */
+static void saved(void)
+{
+  static const uint64_t at[] = {1, 2, 700, 3823, 4000, 8191, 20000, 24134, 24135};
+  size_t size, found;
+  const uint8_t *bytes = whole(&size);
+  for (size_t i = 0; i < COUNT(at); i++) {
+    int status = 0;
+    const pid_t child = fork();
+    if (child == 0) {
+      struct mo_atlas_writer *writer = NULL;
+      int error = mo_atlas_writer_create(path, &source, environments, N, &writer, NULL);
+      for (uint64_t part_of = 3; part_of > 0 && error == MO_OK; part_of--) {
+        error = fixture_add(writer, &source, N, LEVELS, at[i] / part_of);
+        if (error == MO_OK)
+          error = mo_atlas_writer_save(writer);
+      }
+      if (error == MO_OK)
+        error = fixture_add(writer, &source, N, LEVELS, at[i] + 5); /* not saved */
+      (void)kill(getpid(), error == MO_OK ? SIGKILL : SIGTERM);
+    }
+    CHECK_INT(waitpid(child, &status, 0), child);
+    CHECK(WIFSIGNALED(status) && WTERMSIG(status) == SIGKILL);
+    struct mo_message message = {""};
+    struct mo_atlas_writer *writer = create(&message, MO_OK);
+    const uint64_t position = mo_atlas_writer_position(writer);
+    CHECK(position >= at[i] && position <= at[i] + 5); /* a block may have ended since */
+    CHECK_OK(mo_atlas_writer_save(writer));
+    mo_atlas_writer_free(writer);
+    const uint8_t *written = fixture_bytes(part, &found);
+    for (size_t cut = found; cut + 4000 > found && cut > 2400; cut -= 331) {
+      FILE *file = fopen(part, "wb");
+      REQUIRE(file != NULL);
+      CHECK_INT(fwrite(written, 1, cut, file), cut);
+      for (int k = 0; k < 20000 && cut % 2 == 1; k++)
+        (void)fputc(k % 7, file);
+      CHECK_OK(fclose(file));
+      complete(bytes, size);
+    }
+  }
+}
+
 /* The end of an unfinished file may be anything. */
 static void torn(void)
 {
@@ -278,6 +320,46 @@ static void failing_disk(int error)
   source = fixture_source(8);
 }
 
+/* A writer whose disk was full tries again, and loses nothing. */
+static void space_again(void)
+{
+  struct mo_file_operations files = mo_system_files;
+  size_t size;
+  source = fixture_source(6);
+  const uint8_t *bytes = whole(&size);
+  files.write = write_some;
+  files.sync = sync_fails;
+  fault = ENOSPC;
+  long n_failed = 0;
+  failing = -1; /* none */
+  for (long offset = 3; offset < 9; offset++) {
+    struct mo_message message = {""};
+    struct mo_atlas_writer *writer = NULL;
+    calls = 0;
+    CHECK_OK(
+        mo_atlas_writer_create_with(&files, path, &source, environments, N, &writer, &message));
+    const uint64_t bodies = mo_atlas_writer_bodies(writer);
+    for (uint64_t end = 100; mo_atlas_writer_position(writer) < bodies; end += 100) {
+      calls = 0;
+      failing = (long)(end / 100) % offset; /* 0: none */
+      const uint64_t before = mo_atlas_writer_position(writer);
+      int error = fixture_add(writer, &source, N, LEVELS, end);
+      if (error == MO_OK)
+        error = mo_atlas_writer_save(writer);
+      CHECK(error == MO_OK || error == MO_ERR_NO_SPACE);
+      CHECK(mo_atlas_writer_position(writer) >= before);
+      n_failed += error != MO_OK;
+    }
+    failing = -1;
+    CHECK_OK(mo_atlas_writer_save(writer));
+    CHECK_OK(mo_atlas_writer_finish(writer, &message));
+    mo_atlas_writer_free(writer);
+    CHECK(has_bytes(bytes, size) && unlink(path) == 0);
+  }
+  CHECK(n_failed > 20);
+  source = fixture_source(8);
+}
+
 /* ---- designs ---- */
 
 static void designs(void)
@@ -315,6 +397,7 @@ static void designs(void)
 
 static const struct check_case cases[] = {
     {"killed at any moment", killed},
+    {"saved bodies of an unfinished block", saved},
     {"an end of anything", torn},
     {"an altered block", altered_block},
     {"other files and writers", conflicts},
@@ -322,6 +405,7 @@ static const struct check_case cases[] = {
     {"bodies and losses that are refused", wrong_bodies},
     {"a full disk", WITH(failing_disk, MO_ERR_NO_SPACE)},
     {"a failing disk", WITH(failing_disk, MO_ERR_IO)},
+    {"a full disk that gets space again", space_again},
     {"designs of a body", designs},
 };
 CHECK_MAIN_WITH(setup, cases)
