@@ -93,8 +93,8 @@ uint64_t mo_atlas_writer_position(const struct mo_atlas_writer *writer); /* the 
 uint64_t mo_atlas_writer_bodies(const struct mo_atlas_writer *writer);   /* in all */
 /* Adds the next body. form: to check that it is this one (MO_ERR_CONFLICT: nothing was added).
  * losses: (n environments), with `images` the means over the images; finite or +infinity
- * (MO_ERR_INVALID: nothing was added). MO_ERR_NO_SPACE: nothing was added; try again when there is
- * space. After MO_ERR_NO_MEMORY or MO_ERR_IO, free the writer; a new one continues. */
+ * (MO_ERR_INVALID: nothing was added). MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: nothing was added; try
+ * again later. After MO_ERR_IO, free the writer; a new one continues. */
 int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses);
 /* Makes all added bodies durable, which otherwise happens block by block. MO_ERR_NO_SPACE,
  * MO_ERR_NO_MEMORY: try again; until then, saved bodies of the last block may be lost. MO_ERR_IO:

@@ -16,7 +16,8 @@
 static const struct mo_resource *const kinds[MO_JOB_KINDS] = {
     [MO_JOB_EVALUATION] = &mo_evaluation_resource,
     [MO_JOB_TRAINING] = &mo_training_resource,
-    [MO_JOB_CAMPAIGN] = &mo_campaign_resource};
+    [MO_JOB_CAMPAIGN] = &mo_campaign_resource,
+    [MO_JOB_ATLAS] = &mo_atlas_resource};
 
 const struct mo_resource *mo_resource_of(const struct mo_request *request)
 {
@@ -274,6 +275,10 @@ static void write_deleted(struct mo_text *text, const union mo_job_status *statu
                             job->kind == MO_JOB_TRAINING ? status->training.record.name
                                                          : status->campaign.record.name,
                             made));
+    write_staying(text, what, "it has its own name, by which it can be deleted");
+  }
+  if (job->kind == MO_JOB_ATLAS && job->state == MO_JOB_SUCCEEDED) {
+    snprintf(what, sizeof(what), "atlas %s", status->atlas.record.name);
     write_staying(text, what, "it has its own name, by which it can be deleted");
   }
   mo_text_add(text, "]}");

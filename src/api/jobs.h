@@ -4,6 +4,7 @@
 
 #include "api/handlers.h"
 #include "jobs/live.h"
+#include "store/atlases.h"
 #include "store/campaign_designs.h"
 #include "store/campaigns.h"
 #include "store/trainings.h"
@@ -13,6 +14,7 @@ union mo_job_status {
   struct mo_job job; /* all begin with this */
   struct mo_training_status training;
   struct mo_campaign_status campaign;
+  struct mo_atlas_status atlas;
 };
 
 /* A kind of job. */
@@ -25,14 +27,15 @@ struct mo_resource {
   int64_t (*page)(struct mo_store *store, const struct mo_job_query *query, void *statuses,
                   size_t limit);
   /* Write the whole resource or its item in the list of its kind; and its item in the list of jobs.
-   */
+   * page and write are NULL for a kind that has no list of its own. */
   int (*write)(struct mo_api *api, struct mo_text *text, const void *status,
                const struct mo_live *live, bool is_listed);
   void (*write_job)(struct mo_text *text, const void *status, const struct mo_live *live);
   bool versioned; /* the version of the row covers everything that is written about a job that is
                      not running */
 };
-extern const struct mo_resource mo_evaluation_resource, mo_training_resource, mo_campaign_resource;
+extern const struct mo_resource mo_evaluation_resource, mo_training_resource, mo_campaign_resource,
+    mo_atlas_resource;
 
 /* ---- job_reply.c ---- */
 

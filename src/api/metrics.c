@@ -151,7 +151,8 @@ static void write_running(struct mo_api *api, struct mo_text *text)
       [SHARE] = {"morphod_job_progress_ratio", "Share of a running job that is done."},
       [DONE] = {"morphod_job_parts_done", "Parts of a running job that are done: rollouts of an "
                                           "evaluation, steps of a training, generations of a "
-                                          "campaign, the first population included."},
+                                          "campaign, the first population included, bodies of "
+                                          "an atlas."},
       [PARTS] = {"morphod_job_parts", "All parts of a running job."},
       [RATE] =
           {"morphod_job_rollouts_per_second",
@@ -167,9 +168,9 @@ static void write_running(struct mo_api *api, struct mo_text *text)
     for (size_t i = 0; i < n; i++) {
       const struct mo_live *live = &jobs[i].live;
       const bool evolves = jobs[i].kind == MO_JOB_CAMPAIGN;
-      const bool is_evaluation = jobs[i].kind == MO_JOB_EVALUATION;
-      const double done = is_evaluation ? (double)live->done : live->position;
-      const double parts = is_evaluation ? (double)live->total : (double)live->last + evolves;
+      const bool counts = jobs[i].kind == MO_JOB_EVALUATION || jobs[i].kind == MO_JOB_ATLAS;
+      const double done = counts ? (double)live->done : live->position;
+      const double parts = counts ? (double)live->total : (double)live->last + evolves;
       const double begun = evolves && live->phase == MO_PHASE_SCORE && live->total > 0
                                ? (double)live->done / (double)live->total
                                : 0;
@@ -208,6 +209,15 @@ static void write_trainings(struct mo_text *text, const struct mo_jobs_stats *j)
           "Validations since the start.");
   COUNTER("morphod_training_checkpoints_total", j->training_checkpoints,
           "Checkpoints written since the start.");
+}
+
+static void write_atlases(struct mo_text *text, const struct mo_jobs_stats *j)
+{
+  GAUGE("morphod_atlases_running", j->active_atlases, "Atlases that are being built.");
+  COUNTER("morphod_atlas_bodies_total", j->atlas_bodies,
+          "Bodies added to files of atlases since the start.");
+  COUNTER("morphod_atlas_rollouts_total", j->atlas_rollouts,
+          "Rollouts computed for atlases since the start.");
 }
 
 static void write_campaigns(struct mo_text *text, const struct mo_jobs_stats *j)
@@ -275,5 +285,6 @@ void mo_api_metrics_write(struct mo_api *api, struct mo_text *text)
   write_running(api, text);
   write_trainings(text, &jobs);
   write_campaigns(text, &jobs);
+  write_atlases(text, &jobs);
   write_store(api, text);
 }

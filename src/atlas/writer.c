@@ -36,6 +36,7 @@ struct mo_atlas_writer {
   int error;         /* of an earlier call, after which nothing is written */
   uint64_t position; /* the next body, which is the one with next_key */
   uint64_t next_key;
+  bool knows_next;    /* or there is none */
   uint64_t block;     /* index of the block that is being filled */
   uint32_t filled;    /* its bodies so far */
   uint32_t saved;     /* those of them that PATH.part has */
@@ -157,15 +158,22 @@ static void put(struct mo_atlas_writer *writer, const struct mo_atlas_block *blo
 static int look_ahead(struct mo_atlas_writer *writer)
 {
   uint32_t n_voxels;
-  if (writer->position == writer->layout.firsts[MO_ATLAS_VOXELS_MAX])
-    return MO_OK;
-  return mo_atlas_bodies_next_key(writer->bodies, &n_voxels, &writer->next_key);
+  const int error = writer->position == writer->layout.firsts[MO_ATLAS_VOXELS_MAX]
+                        ? MO_OK
+                        : mo_atlas_bodies_next_key(writer->bodies, &n_voxels, &writer->next_key);
+  writer->knows_next = error == MO_OK;
+  return error;
 }
 
 int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses)
 {
   uint32_t voxels[MO_ATLAS_VOXELS_MAX];
   double sum = 0;
+  if (writer->error == MO_OK && !writer->knows_next) {
+    const int error = look_ahead(writer);
+    if (error != MO_OK)
+      return error;
+  }
   if (writer->error != MO_OK)
     return writer->error;
   if (writer->position == writer->layout.firsts[MO_ATLAS_VOXELS_MAX])
@@ -181,18 +189,18 @@ int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, co
   put(writer, &block, losses);
   if (writer->filled + 1 == block.n) {
     const int error = write_block(writer, &block, writer->bytes);
-    if (error == MO_ERR_NO_SPACE)
+    if (error != MO_OK) {
+      writer->error = error == MO_ERR_NO_SPACE ? MO_OK : error;
       return error;
-    writer->error = error;
+    }
   }
   writer->position++;
   if (++writer->filled == block.n) {
     writer->filled = writer->saved = 0;
     writer->block++;
   }
-  if (writer->error == MO_OK)
-    writer->error = look_ahead(writer);
-  return writer->error;
+  writer->knows_next = false;
+  return MO_OK;
 }
 
 static int sync_folder(const struct mo_atlas_writer *writer)

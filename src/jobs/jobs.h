@@ -1,5 +1,5 @@
-/* jobs.h: accepts jobs of all kinds (evaluations.h, trainings.h, campaigns.h), runs them on a
- * compute back end, and keeps their results in the store.
+/* jobs.h: accepts jobs of all kinds (evaluations.h, trainings.h, campaigns.h, atlases.h), runs them
+ * on a compute back end, and keeps their results in the store.
  *
  * Interactive jobs go first. Batch jobs share the back end by weight: each running job has its own
  * share of worker time.
@@ -7,7 +7,7 @@
  * States:
  * - queued → running → succeeded | failed
  * - pause: queued, running → paused
- * - resume: paused → queued (trainings and campaigns: also failed → queued)
+ * - resume: paused → queued (all kinds but evaluations: also failed → queued)
  * - cancel: queued, running, paused → cancelled
  * - restart of the process: running → queued
  *
@@ -107,24 +107,24 @@ const struct mo_lattice *mo_jobs_lattice(const struct mo_jobs *jobs);
   X(jobs_submitted) X(jobs_succeeded) X(jobs_failed) X(jobs_cancelled) X(campaign_generations)     \
   X(campaign_designs) X(campaign_rollouts) X(campaign_cached) X(campaign_diverged)                 \
   X(campaign_steps) X(training_steps) X(training_robots) X(training_diverged) X(training_zeroed)   \
-  X(training_validations) X(training_checkpoints)
+  X(training_validations) X(training_checkpoints) X(atlas_bodies) X(atlas_rollouts)
 /* clang-format on */
 struct mo_jobs_stats {
 #define MO_JOBS_COUNT(name) uint64_t name;
   MO_JOBS_COUNTS(MO_JOBS_COUNT)
 #undef MO_JOBS_COUNT
-  uint64_t active_trainings, active_campaigns; /* running or being prepared */
-  double training_step_s;                      /* total wall time of training_steps */
-  double worker_s[MO_JOB_KINDS];               /* worker seconds since the start, by kind of job */
-  double device_s[MO_JOB_KINDS];               /* device seconds since the start, by kind of job */
+  uint64_t active_trainings, active_campaigns, active_atlases; /* running or being prepared */
+  double training_step_s;        /* total wall time of training_steps */
+  double worker_s[MO_JOB_KINDS]; /* worker seconds since the start, by kind of job */
+  double device_s[MO_JOB_KINDS]; /* device seconds since the start, by kind of job */
   /* Monotonic time of the scheduler's last round (at least one per second). */
   int64_t heartbeat_us;
   bool no_space; /* running jobs wait for disk space; they continue without a request */
 };
 /* Fills *stats without waiting for computation or the store. */
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats);
-/* Returns the number of trainings and campaigns that are waiting for disk space or memory, and
- * their ids for mo_job_query, which shows them as paused while they run. */
+/* Returns the number of trainings, campaigns and atlases that are waiting for disk space or memory,
+ * and their ids for mo_job_query, which shows them as paused while they run. */
 size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX]);
 
 /* ---- crashes ---- */

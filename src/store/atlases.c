@@ -1,7 +1,7 @@
 /* atlases.c: see atlases.h. */
 #include "store/atlases.h"
 
-#include <inttypes.h>
+#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -106,15 +106,6 @@ int mo_store_atlas(struct mo_store *store, int64_t id, struct mo_atlas_status *s
   return load_status(reader, id, status);
 }
 
-int64_t mo_store_atlases(struct mo_store *store, const struct mo_job_query *query, void *statuses,
-                         size_t limit)
-{
-  struct mo_job_query atlases = *query;
-  atlases.kind = MO_JOB_ATLAS;
-  return mo_read_jobs(store, &atlases, limit, load_status, statuses,
-                      sizeof(struct mo_atlas_status));
-}
-
 static int take_hash(sqlite3_stmt *row, void *sha256)
 {
   return mo_column_hash(row, 0, sha256);
@@ -129,6 +120,12 @@ int mo_store_atlas_physics(struct mo_store *store, int64_t id, struct mo_sha256 
 
 /* ---- the runner's writes ---- */
 
+static char *part_path(const struct mo_store *store, const char *name)
+{
+  char *path;
+  return asprintf(&path, "%s/%s.atlas.part", store->atlases_path, name) >= 0 ? path : NULL;
+}
+
 int mo_store_atlas_writer(struct mo_store *store, const char *name,
                           const struct mo_atlas_source *source,
                           const struct mo_environment *environments, uint32_t n,
@@ -138,6 +135,16 @@ int mo_store_atlas_writer(struct mo_store *store, const char *name,
   const int error = path != NULL ? mo_atlas_writer_create_with(store->files, path, source,
                                                                environments, n, writer, message)
                                  : MO_ERR_NO_MEMORY;
+  free(path);
+  return error;
+}
+
+int mo_store_atlas_restart(struct mo_store *store, const char *name)
+{
+  char *path = part_path(store, name);
+  if (path == NULL)
+    return MO_ERR_NO_MEMORY;
+  const int error = store->files->unlink(path) == 0 || errno == ENOENT ? MO_OK : MO_ERR_IO;
   free(path);
   return error;
 }
@@ -209,10 +216,7 @@ void mo_store_atlas_drop(struct mo_store *store, int64_t id)
                             " a.job=?1 AND j.state IN (5,6) AND NOT EXISTS(SELECT 1 FROM atlases b"
                             " JOIN jobs k ON k.id=b.job WHERE b.name=a.name AND k.state IN"
                             " (0,1,2,4))";
-  char name[MO_ATLAS_NAME_MAX + 1], *path = NULL;
-  if (mo_read_one(store, sql, MO_VALUES(mo_int(id)), take_name, name) == MO_OK &&
-      asprintf(&path, "%s/%s.atlas.part", store->atlases_path, name) >= 0) {
-    (void)store->files->unlink(path);
-    free(path);
-  }
+  char name[MO_ATLAS_NAME_MAX + 1];
+  if (mo_read_one(store, sql, MO_VALUES(mo_int(id)), take_name, name) == MO_OK)
+    (void)mo_store_atlas_restart(store, name);
 }

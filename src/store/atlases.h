@@ -49,9 +49,6 @@ int mo_store_submit_atlas(struct mo_store *store, const struct mo_atlas_request 
 
 /* MO_ERR_NOT_FOUND. */
 int mo_store_atlas(struct mo_store *store, int64_t id, struct mo_atlas_status *status);
-/* Like mo_store_jobs, but only atlases; ignores the query's kind. */
-int64_t mo_store_atlases(struct mo_store *store, const struct mo_job_query *query,
-                         void *statuses /* struct mo_atlas_status */, size_t limit);
 /* Reads the hash of the physics that a job's scores are computed with. */
 int mo_store_atlas_physics(struct mo_store *store, int64_t id, struct mo_sha256 *sha256);
 
@@ -62,6 +59,8 @@ int mo_store_atlas_writer(struct mo_store *store, const char *name,
                           const struct mo_atlas_source *source,
                           const struct mo_environment *environments, uint32_t n,
                           struct mo_atlas_writer **writer, struct mo_message *message);
+/* Removes an unfinished file that a writer refused. */
+int mo_store_atlas_restart(struct mo_store *store, const char *name);
 /* Returns whether the disk is full, so that only urgent writes may use the rest of it. */
 bool mo_store_is_short(const struct mo_store *store);
 /* Stores the progress, with the event "atlas.progress". data: a JSON object. MO_ERR_CONFLICT: the

@@ -1,0 +1,39 @@
+/* atlas_wave.h: the bodies of an atlas that are scored together. Only for the files atlas*.c of
+ * this room. */
+#ifndef MORPHO_JOBS_ATLAS_WAVE_H
+#define MORPHO_JOBS_ATLAS_WAVE_H
+
+#include <morpho/atlas.h>
+
+/* Consecutive bodies, with the designs that are scored for each. */
+struct mo_atlas_wave {
+  struct mo_atlas_scope scope;
+  enum mo_atlas_orientations orientations;
+  uint32_t n_environments;
+  uint32_t most;           /* designs */
+  uint64_t first;          /* position of its first body */
+  uint32_t n, n_designs;   /* bodies and their designs */
+  struct mo_bits *forms;   /* (most) bodies */
+  uint32_t *begins;        /* (most + 1) first design of a body */
+  uint8_t *left;           /* (most) designs of a body without all losses */
+  struct mo_bits *designs; /* (most) */
+  uint32_t *bodies;        /* (most) body of a design */
+  double *losses;          /* (most, n_environments) */
+};
+
+/* Allocates a wave whose first four members are set. MO_ERR_NO_MEMORY. */
+int mo_atlas_wave_create(struct mo_atlas_wave *wave);
+void mo_atlas_wave_free(struct mo_atlas_wave *wave);
+uint64_t mo_atlas_wave_bytes(uint32_t most, uint32_t n_environments);
+/* Fills the wave with the next bodies of a stream at position `first`; n 0: none is left.
+ * MO_ERR_NO_MEMORY. */
+int mo_atlas_wave_fill(struct mo_atlas_wave *wave, struct mo_atlas_bodies *bodies, uint64_t first);
+/* Computes the losses of body i, whose designs all have theirs: the means over its designs, added
+ * in their order. losses: (n_environments). */
+void mo_atlas_wave_mean(const struct mo_atlas_wave *wave, uint32_t i, double *losses);
+/* Counts the designs of the bodies at the positions from `first` to `end`. */
+int mo_atlas_count_designs(const struct mo_atlas_scope *scope,
+                           enum mo_atlas_orientations orientations, uint64_t first, uint64_t end,
+                           uint64_t *n);
+
+#endif
