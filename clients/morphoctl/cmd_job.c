@@ -23,11 +23,15 @@ static void print_job(const struct ctl *ctl, const json_t *job)
       {"job", "{id} ({kind}, {priority})"},
       JOB_STATE_FACTS(""),
       {"name", "{training.name}"},
+      {"atlas", "{atlas.name}"},
       {"mode", "{campaign.mode}"},
       {"progress",
        "[step {training.step:,} of {training.steps:,}; see morphoctl train show {id}"
        "|generation [{campaign.generation:,}|0] of {campaign.generations:,}; see morphoctl "
-       "campaign show {id}]"},
+       "campaign show {id}|{atlas.bodies_done:,}[ of {atlas.bodies_total:,}] bodies"
+       "[  {atlas.progress.rollouts_per_s:.0f} rollouts/s]"
+       "[  {atlas.progress.seconds_left:duration} left]]"},
+      {"scope", "[at most {atlas.voxels} voxels, {atlas.orientations}]"},
       {NULL, NULL}};
   static const struct fact evaluation[] = {
       {"controller", CONTROLLER_WORDS("controller", "")},
@@ -50,7 +54,8 @@ static void print_job(const struct ctl *ctl, const json_t *job)
   print_facts(ctl, job, first);
   if (json_object_get(job, "measures") != NULL)
     job = with_measures(job);
-  if (json_object_get(job, "training") == NULL && json_object_get(job, "campaign") == NULL)
+  if (json_object_get(job, "training") == NULL && json_object_get(job, "campaign") == NULL &&
+      json_object_get(job, "atlas") == NULL)
     print_facts(ctl, job, evaluation);
   print_facts(ctl, job, times);
   if (json_object_get(job, "results") != NULL) {

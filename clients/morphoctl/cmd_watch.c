@@ -27,6 +27,7 @@ static const struct {
                                     "{data.diversity:.4f}"},
     {"campaign.progress",
      "  generation {data.generation}  {data.phase} {data.done:,} of {data.total:,}"},
+    {"atlas.progress", "  {data.bodies_done:,} of {data.bodies_total:,} bodies"},
     {"campaign.imported", "  campaign {data.campaign} of store {data.store}"},
     {"scores.imported", "  {data.new:,} rollouts of store {data.store} on {data.host}"},
     {"scores.differ", "  {data.different:,} rollouts of store {data.store} on {data.host}"},

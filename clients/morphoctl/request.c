@@ -282,7 +282,11 @@ static void wait_for(struct ctl *ctl, const char *id)
     const bool rests = strcmp(state, "paused") == 0;
     final = is_final(state);
     const int64_t waiting = number_of(job, "n_waiting"), designs = number_of(job, "n_designs");
-    if (!final && waiting > 0)
+    const json_t *atlas = json_object_get(job, "atlas");
+    if (!final && atlas != NULL)
+      progress_show(ctl, state, number_of(atlas, "bodies_done"), number_of(atlas, "bodies_total"),
+                    "bodies");
+    else if (!final && waiting > 0)
       progress_show(ctl, state, designs - waiting, designs, "designs stored");
     else if (!final)
       progress_show(ctl, state, number_of(job, "rollouts_done"), number_of(job, "rollouts_total"),
@@ -306,6 +310,17 @@ json_t *post_job(struct ctl *ctl, const char *path, const json_t *request, unsig
   return keep(send_json(ctl, &how, NULL));
 }
 
+const json_t *await_job(struct ctl *ctl, const json_t *job, const char *noun)
+{
+  const char *id = text_of(job, "id");
+  catch_interrupts(ctl->quiet ? NULL
+                              : keep(format_text("The %s continues: morphoctl job show %s; to stop "
+                                                 "it: morphoctl job cancel %s",
+                                                 noun, id, id)));
+  wait_for(ctl, id);
+  return get_json(ctl, "/v1/jobs/%s", id);
+}
+
 json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait)
 {
   json_t *evaluation = post_job(ctl, path, request, wait ? 1 : 0);
@@ -313,11 +328,6 @@ json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool 
   if (!wait || json_object_get(evaluation, "results") != NULL ||
       (is_final(state) && strcmp(state, "succeeded") != 0))
     return evaluation;
-  catch_interrupts(
-      ctl->quiet ? NULL
-                 : keep(format_text("The evaluation continues: morphoctl job show %s; to stop "
-                                    "it: morphoctl job cancel %s",
-                                    id, id)));
-  wait_for(ctl, id);
+  (void)await_job(ctl, evaluation, "evaluation");
   return get_json(ctl, "/v1/evaluations/%s", id);
 }

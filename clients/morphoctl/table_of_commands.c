@@ -443,6 +443,27 @@ static const struct option_spec suite_picture_options[] = {
      "Width, 320 to 2000 (default: 760). Below 620, the legend is below the axes."},
     {NULL}};
 
+static const struct option_spec atlas_build_options[] = {
+    {"voxels", 'n', "N", "The most voxels of a body, 1 to 10 (required).", "voxels", FIELD_WHOLE},
+    {"task", 't', "TASK",
+     "A task of the suite morpho-12, such as walk, in its ten worlds to select with.", "task"},
+    {ENVIRONMENTS},
+    {"orientations", 0, "images|canonical",
+     "images: a score is the mean over the distinct images of a body, at most eight (default). "
+     "canonical: that of its canonical form, in an eighth of the time.",
+     "orientations"},
+    {"name", 0, "NAME", "Name of the atlas (default: made of task and voxels, such as walk-10).",
+     "name"},
+    {CONTROLLER},
+    {PHYSICS},
+    {"wait", 'w', NULL, "Wait until it is built, and print its name."},
+    {WEIGHT},
+    {DEVICE},
+    {LABEL},
+    {EXPERIMENT},
+    {KEY("job")},
+    {NULL}};
+
 const struct command commands[] = {
     {"eval", "[DESIGN]...", "Score designs.", run_eval,
      "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, the "
@@ -600,6 +621,11 @@ const struct command commands[] = {
      "12.4 MB for each that learned. Populations, phylogeny and the resulting controller stay. A "
      "simultaneous campaign can then no longer be extended or resumed, and without a result its "
      "champions can no longer be recorded. Nothing is deleted for a campaign that has not ended."},
+    {"atlas build", "", "Score all bodies of at most N voxels, as one file.", run_atlas_build,
+     "There are 1,057,222 bodies of at most 10 voxels. The build is a job of the server, which "
+     "continues without morphoctl, and after a crash; job pause, resume and cancel control it. "
+     "Without --wait, prints the id of the job.",
+     atlas_build_options},
     {"study ask", "ID N", "Ask a study for N bodies that it has never seen.", run_study_ask,
      "Children of its population as JSON, one per line, which study tell reads. The same question "
      "gets the same answer until the next batch. campaign start study makes a study; the "

@@ -74,6 +74,7 @@ def walk(service):
                  f"{of}/phylogeny?limit=1", f"{of}/champions?count=1", f"{of}/environments",
                  f"{of}/checkpoints"):
         call("GET", path)
+    await_end(service, "/v1/jobs/" + call("POST", "/v1/atlases", "AtlasRequest")["id"])
     bundle = service.request("GET", f"/v1/bundles?campaigns={campaign}").body
     call("POST", "/v1/bundles", body=bundle)
     second = service.post("/v1/campaigns", EXAMPLES["CampaignRequest"] | {"seed": 99})["id"]

@@ -176,6 +176,7 @@ static void requests(void)
   check_object("CampaignRequest", &mo_campaign_request_fields, 0, true);
   check_object("CampaignLearningRequest", &mo_campaign_record_learning_fields, 0, true);
   check_object("WeightRequest", &mo_weight_fields, 0, true);
+  check_object("AtlasRequest", &mo_atlas_request_fields, 0, true);
   check_object("TellRequest", &mo_tell_fields, 0, true);
   check_object("AskRequest", &mo_ask_fields, 0, true);
   check_object("RolloutsRequest", &mo_rollouts_request_fields, 0, true);

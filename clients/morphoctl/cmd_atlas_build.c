@@ -1,0 +1,32 @@
+/* cmd_atlas_build.c: atlas build: scores all bodies, as a job of the server. */
+#include <string.h>
+
+#include "commands.h"
+
+void run_atlas_build(struct ctl *ctl)
+{
+  const bool wait = option_is_set(ctl, "wait");
+  if (!option_is_set(ctl, "voxels"))
+    fail(STATUS_USAGE, "--voxels N is required: the most voxels of a body, 1 to 10");
+  if (option_is_set(ctl, "task") && option_is_set(ctl, "environments"))
+    fail(STATUS_USAGE, "give --task or --environments, not both");
+  json_t *request = keep(json_object());
+  request_fill(ctl, request);
+  const json_t *job = post_job(ctl, "/v1/atlases", request, 0);
+  if (wait)
+    job = await_job(ctl, job, "atlas");
+  if (ctl->json)
+    print_json(job);
+  else
+    print_from(stdout, job, wait ? "{atlas.name}" : "{id}");
+  if (wait) {
+    expect_success("job", job);
+    if (!ctl->json && !ctl->quiet)
+      print_from(stderr, job,
+                 "atlas {atlas.name}: {atlas.bodies_done:,} bodies, {atlas.rollouts_done:,} "
+                 "rollouts");
+  } else if (!ctl->json && !ctl->quiet) {
+    print_from(stderr, job,
+               "job {id} is accepted: it builds the atlas {atlas.name}; morphoctl watch {id}");
+  }
+}
