@@ -20,6 +20,9 @@
 #include "jobs/submission.h"
 #include "store/worlds.h"
 
+/* Bodies are saved this often. A new process begins with the shorter time, so that the job makes
+ * progress no matter how often it is killed. */
+#define SAVED_FIRST_US INT64_C(60000)
 #define SAVED_EVERY_US INT64_C(1000000)
 /* A wave has some windows of the back end, so that devices rarely idle at its end. */
 #define WINDOWS      4
@@ -50,7 +53,7 @@ struct run {
   uint32_t added;     /* bodies of the wave that the writer has */
   uint32_t n_unsaved; /* 1: losses arrived that were not looked at */
   bool is_complete;   /* the file has its final name */
-  int64_t saved_us;
+  int64_t saved_us, every_us;
 };
 
 /* ---- the size of waves ---- */
@@ -235,8 +238,9 @@ static int save_arrived(void *context)
 {
   struct run *run = context;
   run->n_unsaved = 0;
-  if (mo_clock_us() < run->saved_us + SAVED_EVERY_US)
+  if (mo_clock_us() < run->saved_us + run->every_us)
     return MO_OK;
+  run->every_us = 2 * run->every_us < SAVED_EVERY_US ? 2 * run->every_us : SAVED_EVERY_US;
   return save_now(run);
 }
 
@@ -384,6 +388,7 @@ static int prepare(struct run *run)
   if (error == MO_OK)
     error = mo_atlas_bodies_seek(run->bodies, run->status.record.bodies_done);
   run->saved_us = mo_clock_us();
+  run->every_us = SAVED_FIRST_US;
   return error;
 }
 

@@ -1,0 +1,103 @@
+"""An atlas has the same bytes, whatever killed its builder, and however many threads it had."""
+import random
+
+from daemon import open_database
+
+REQUEST = {
+    "voxels": 5, "name": "all", "physics": {"n_steps": 800},
+    "environments": [{"task": "walk"}, {"light_xy_m": [4, 2.5], "terrain_sigma_m": 0.05, "seed": 3}]
+}
+BODIES = 124
+
+
+def file_of(one):
+    return one.state / "atlases" / "all.atlas"
+
+
+def done(one, job):
+    return one.json(f"/v1/jobs/{job}")["atlas"]["bodies_done"]
+
+
+def computed(one):
+    return one.counted("morphod_atlas_rollouts_total")
+
+
+def test_kill_at_random_moments(daemon, soak, seed):
+    """Killed some times, with another number of workers in every process. Nothing that was durable
+    is computed again, so the work of all processes is little more than that of one."""
+    print(f"seed {seed}")
+    generator = random.Random(seed)
+    n_kills = 60 if soak else 8
+    with daemon("undisturbed", workers=2) as quiet:
+        job = quiet.submit(REQUEST, "atlases")
+        quiet.succeed(job, "jobs")
+        rollouts = computed(quiet)
+        expected = file_of(quiet).read_bytes()
+        assert quiet.json(f"/v1/jobs/{job}")["atlas"]["rollouts_done"] == rollouts
+        quiet.end()
+
+    victim = daemon("victim", workers=1).start()
+    job, kills, seen = victim.submit(REQUEST, "atlases"), 0, []
+    while kills < n_kills:
+        now = victim.json(f"/v1/jobs/{job}")
+        if now["state"] == "failed":  # killed three times without a durable body
+            assert "killed" in now["error"]["detail"]
+            victim.act(job, "resume")
+        least = computed(victim) + generator.uniform(0, 2 * rollouts / n_kills)
+        state = victim.until(lambda: victim.json(f"/v1/jobs/{job}")["state"], holds=lambda state: (
+            state not in ("queued", "running") or computed(victim) >= least))
+        if state == "succeeded":
+            break
+        victim.kill()
+        kills += 1
+        victim.settings["workers"] = generator.choice((1, 2, 7))
+        victim.start()
+        seen.append(done(victim, job))
+    victim.succeed(job, "jobs", attempts=3)
+    print(f"{kills} kills, at {seen} of {BODIES} bodies")
+    assert file_of(victim).read_bytes() == expected
+    assert kills >= 3 and seen == sorted(seen), "a durable body was lost"
+    now = victim.json(f"/v1/jobs/{job}")["atlas"]
+    assert (now["bodies_done"], now["rollouts_done"]) == (BODIES, rollouts)
+    victim.end()
+    database = open_database(victim.state)
+    assert database.execute("SELECT count(*) FROM scores").fetchone() == (0, )
+    database.close()
+    assert [path.name for path in (victim.state / "atlases").iterdir()] == ["all.atlas"]
+
+
+def test_killed_when_the_file_is_complete(daemon):
+    """The file has its name, but the job does not know it yet."""
+    with daemon("one") as one:
+        job = one.submit(REQUEST | {"voxels": 2}, "atlases")
+        one.succeed(job, "jobs")
+        content = file_of(one).read_bytes()
+        one.end()
+        database = open_database(one.state)
+        database.execute("UPDATE jobs SET state=1, finished_us=0")
+        database.execute("UPDATE atlases SET bodies_done=1, rollouts_done=2")
+        database.commit()
+        database.close()
+        one.start()
+        again = one.succeed(job, "jobs")
+        assert again["atlas"]["bodies_done"] == 3 and again["atlas"]["rollouts_done"] == 2 * 4
+        assert file_of(one).read_bytes() == content
+        one.end()
+
+
+def test_left_over(daemon):
+    """Unfinished files without a job are removed, and those of unfinished jobs stay."""
+    with daemon("one", workers=1) as one:
+        job = one.submit(REQUEST, "atlases")
+        one.until(lambda: done(one, job) > 0)
+        one.act(job, "pause")
+        one.end()
+        folder = file_of(one).parent
+        (folder / "nobody.atlas.part").write_bytes(b"unfinished")
+        (folder / ".tmp-1").write_bytes(b"unfinished")
+        (folder / "other.atlas").write_bytes(b"somebody's")
+        one.start()
+        assert sorted(path.name for path in folder.iterdir()) == ["all.atlas.part", "other.atlas"]
+        assert one.act(job, "cancel")["state"] == "cancelled"
+        one.until(lambda: not (folder / "all.atlas.part").exists())
+        one.end()
