@@ -34,6 +34,22 @@ def sort(browser, column):
     browser.click(column, "th button")
 
 
+def test_builds_of_atlases_are_listed(browser, service):
+    """Among all runs, and by their kind, with their progress."""
+    request = {"voxels": 6, "name": "shown", "label": "an atlas", "experiment": "atlases",
+               "physics": {"n_steps": 5000}}
+    id = service.post("/v1/atlases", request)["id"]
+    service.act(id, "pause")
+    run(service, "evaluations", SHORT | {"label": "beside it", "experiment": "atlases"})
+    browser.open("runs?experiment=atlases")
+    names(browser, ["beside it", "an atlas"])
+    assert "bodies" in browser.texts(".runs tbody tr")[1]
+    browser.open("runs?kind=atlas&experiment=atlases")
+    names(browser, ["an atlas"])
+    service.act(id, "cancel")
+    browser.until("document.querySelector('.runs tbody tr').innerText.includes('cancelled')")
+
+
 def test_runs_are_filtered_and_sorted(browser, table):
     """A filter finds what the service has, not only what is loaded; an order is of all of it."""
     browser.open("runs?experiment=table")

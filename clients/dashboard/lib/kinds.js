@@ -18,20 +18,14 @@ const progressIn = (job) => job.progress ?? { under_way: null, total: 0, ...part
 /** What a campaign does within a generation, by its phase, and what is counted. */
 const WITHIN = { learning: 'steps learned', scoring: 'designs scored' };
 
-function progressOfEvaluation(job) {
-  if (job.n_waiting > 0) {
-    const stored = job.n_designs - job.n_waiting;
-    return {
-      share: stored / job.n_designs, secondsLeft: null,
-      text: `${count(stored)} of ${count(job.n_designs)} designs stored`,
-    };
-  }
-  return {
-    share: job.rollouts_total ? job.rollouts_done / job.rollouts_total : 0,
-    text: `${count(job.rollouts_done)} of ${count(job.rollouts_total)} rollouts`,
-    secondsLeft: job.progress?.seconds_left,
-  };
-}
+/** The progress of a job that counts what is done. */
+const counted = (done, total, what, secondsLeft) => ({
+  share: total ? done / total : 0, text: `${count(done)} of ${count(total)} ${what}`, secondsLeft,
+});
+
+const progressOfEvaluation = (job) => (job.n_waiting > 0
+  ? counted(job.n_designs - job.n_waiting, job.n_designs, 'designs stored', null)
+  : counted(job.rollouts_done, job.rollouts_total, 'rollouts', job.progress?.seconds_left));
 
 function progressOfTraining(job) {
   const progress = progressIn(job);
@@ -159,8 +153,16 @@ const study = {
   waits: (job) => (job.state === 'queued' && job.reason ? 'waits for its client' : null),
 };
 
+/** It has no page of its own. @type {Kind} */
+const atlas = {
+  ...evaluation, name: 'Atlas', names: 'Atlases', path: 'jobs', kind: 'atlas', starts: false,
+  progress: ({ atlas: { bodies_done: done, bodies_total: all, progress } }) =>
+    counted(done, all, 'bodies', progress.seconds_left),
+  worlds: (job) => job.atlas.environments,
+};
+
 /** @type {Object<string, Kind>} */
-export const KINDS = { evaluation, training, campaign, study };
+export const KINDS = { evaluation, training, campaign, study, atlas };
 
 /** Returns the name of a job's kind in this table. */
 export const kindName = (job) => (study.only(job) ? 'study' : job.kind);
