@@ -1,12 +1,14 @@
 /* opening.c: which databases the store opens, and how it detects damage. */
 #include "by_hand.h"
 #include "one_store.h"
+#include "store/atlases.h"
 #include "store/internal.h"
 #include "store/worlds.h"
 
-#define NEWEST 22 /* schema */
-/* Takes back what versions 18 to 22 added. */
-#define WITHOUT_22 "ALTER TABLE measures DROP COLUMN origin;"
+#define NEWEST 23 /* schema */
+/* Takes back what versions 18 to 23 added. */
+#define WITHOUT_23 "DROP TABLE atlases;"
+#define WITHOUT_22 "ALTER TABLE measures DROP COLUMN origin;" WITHOUT_23
 #define WITHOUT_21 "ALTER TABLE evaluations DROP COLUMN suite;" WITHOUT_22
 #define WITHOUT_20 "ALTER TABLE campaign_losses DROP COLUMN measures;" WITHOUT_21
 #define WITHOUT_19 "ALTER TABLE evaluations DROP COLUMN tolerance;" WITHOUT_20
@@ -46,7 +48,7 @@ static void refuses_what_is_not_ours(void)
 {
   CHECK_INT(reopen_after("PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
   CHECK_SAYS(fixture.message, "99"); /* written by a newer program */
-  CHECK_INT(reopen_after("PRAGMA user_version=22; PRAGMA application_id=7"), MO_ERR_FORMAT);
+  CHECK_INT(reopen_after("PRAGMA user_version=23; PRAGMA application_id=7"), MO_ERR_FORMAT);
   CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
   close_store();
   scribble(0, 8192); /* not a database, despite its name */
@@ -62,13 +64,13 @@ static void refuses_older_versions(void)
     CHECK_INT(reopen_after(sql), MO_ERR_UNSUPPORTED);
     CHECK_SAYS(fixture.message, version <= 8
                                     ? "was written by morphod 0.1"
-                                    : "of an unreleased program; this version reads 14 to 22");
+                                    : "of an unreleased program; this version reads 14 to 23");
     CHECK_SAYS(fixture.message, "an empty folder");
     CHECK_SAYS(fixture.message, fixture.path);
     CHECK_INT(outside_integer("PRAGMA user_version"), version);
     CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_OK(reopen_after("PRAGMA user_version=22"));
+  CHECK_OK(reopen_after("PRAGMA user_version=23"));
 }
 
 /* Jobs of version 14 are read as before; tables that are no longer used are dropped. */
@@ -337,6 +339,61 @@ static void reports_what_contradicts_itself(void)
   }
 }
 
+/* Jobs of version 22 are read as before, and atlases can be built. */
+static void opens_version_before_atlases(void)
+{
+  const struct mo_evaluation_request evaluation = draw_evaluation(2, 3);
+  const int64_t old = submit_evaluation(&evaluation);
+  struct mo_atlas_request request = {.base = "walk-4",
+                                     .voxels = 4,
+                                     .orientations = MO_ATLAS_IMAGES,
+                                     .physics = evaluation.physics,
+                                     .controller = evaluation.controller,
+                                     .environment_set = "morpho-12-walk"};
+  struct mo_message message = {.text = ""};
+  struct mo_atlas_status status;
+  int64_t id[2] = {0, 0}, taken = 0;
+  bool replayed;
+  REQUIRE(old > 0);
+  REQUIRE_OK(reopen_after(WITHOUT_23 "PRAGMA user_version=22"));
+  CHECK_INT(job_of(old).kind, MO_JOB_EVALUATION);
+  for (int i = 0; i < 2; i++)
+    REQUIRE_OK(mo_store_submit_atlas(store, &request, &id[i], &replayed, &message));
+  REQUIRE_OK(mo_store_atlas(store, id[1], &status));
+  CHECK_TEXT(status.record.name, "walk-4-2");
+  CHECK_INT(status.record.voxels, 4);
+  CHECK_INT(status.record.orientations, MO_ATLAS_IMAGES);
+  CHECK_TEXT(status.job.environment_set, "morpho-12-walk");
+  CHECK_INT(status.job.n_environments, 10);
+  const struct mo_job known = job_of(old);
+  CHECK(memcmp(&status.job.physics, &known.physics, sizeof(known.physics)) == 0);
+  snprintf(request.name, sizeof(request.name), "walk-4");
+  CHECK_INT(mo_store_submit_atlas(store, &request, &taken, &replayed, &message), MO_ERR_DUPLICATE);
+  CHECK_SAYS(message, "choose another name, or cancel or delete that job");
+  CHECK_OK(mo_store_change_job(store, id[0], MO_CHANGE_CANCEL, NULL));
+  CHECK_OK(mo_store_submit_atlas(store, &request, &taken, &replayed, &message));
+  CHECK_OK(check_whole());
+  close_store();
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+}
+
+static void names_of_atlases(void)
+{
+  static const char *const good[] = {"a", "walk-10", "0", "a--b"}, *const bad[] = {
+                                                                       "",    "-a",  "a-", "A",
+                                                                       "a.b", "a/b", "ä",  "a b"};
+  char long_name[MO_ATLAS_NAME_MAX + 2];
+  for (size_t i = 0; i < COUNT(good); i++)
+    CHECK(mo_atlas_name_is_valid(good[i]));
+  for (size_t i = 0; i < COUNT(bad); i++)
+    CHECK(!mo_atlas_name_is_valid(bad[i]));
+  memset(long_name, 'a', sizeof(long_name));
+  long_name[MO_ATLAS_NAME_MAX + 1] = '\0';
+  CHECK(!mo_atlas_name_is_valid(long_name));
+  long_name[MO_ATLAS_NAME_MAX] = '\0';
+  CHECK(mo_atlas_name_is_valid(long_name));
+}
+
 static const struct check_case cases[] = {
     {"opens, counts its openings, and keeps others out", opens_and_locks},
     {"refuses newer schemas and files that are not its own", refuses_what_is_not_ours},
@@ -352,6 +409,8 @@ static const struct check_case cases[] = {
     {"opens a folder of version 18", opens_version_18},
     {"opens a folder of version 19", opens_version_19},
     {"opens a folder from before suites", opens_version_before_suites},
+    {"opens a folder from before atlases", opens_version_before_atlases},
+    {"checks the names of atlases", names_of_atlases},
     {"reports contradictions", reports_what_contradicts_itself},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)
