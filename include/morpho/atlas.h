@@ -79,7 +79,8 @@ struct mo_atlas_source {
 
 /* Writes a file, body by body in order. Until it is complete, it is PATH.part. If the process or
  * the machine stops, a new writer of the same path continues after the last whole block, or after
- * the last body that mo_atlas_writer_save has saved, which are durable. The same source, environments and losses give the same bytes. Not for concurrent use. */
+ * the last body that mo_atlas_writer_save has saved, which are durable. The same source,
+ * environments and losses give the same bytes. Not for concurrent use. */
 struct mo_atlas_writer;
 /* environments: (n). Finds all bodies of the scope first, to count them. MO_ERR_CONFLICT: PATH
  * exists, or PATH.part belongs to another atlas; MO_ERR_BUSY: another writer has it; MO_ERR_RANGE,

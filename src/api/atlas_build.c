@@ -1,4 +1,5 @@
 /* atlas_build.c: jobs that build atlases: submission and state. */
+#include "api/atlas_request.h"
 #include "api/job_json.h"
 #include "api/jobs.h"
 #include "api/submission.h"

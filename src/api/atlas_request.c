@@ -1,8 +1,9 @@
 /* atlas_request.c: the body of POST /v1/atlases. */
+#include "api/atlas_request.h"
+
 #include <stdio.h>
 #include <string.h>
 
-#include "api/requests.h"
 #include "base/words.h"
 #include "rollout/physics.h"
 

@@ -9,7 +9,6 @@
 #define MORPHO_API_REQUESTS_H
 
 #include "base/fields.h"
-#include "jobs/atlases.h"
 #include "jobs/campaigns.h"
 #include "jobs/evaluations.h"
 #include "jobs/studies.h"
@@ -88,7 +87,7 @@ extern const struct mo_field_own mo_channels_field;
 extern const struct mo_fields mo_evaluation_request_fields, mo_rollouts_request_fields,
     mo_training_request_fields, mo_campaign_request_fields, mo_random_request_fields,
     mo_mutation_request_fields, mo_crossing_request_fields, mo_canonical_request_fields,
-    mo_atlas_request_fields, mo_tell_fields, mo_ask_fields;
+    mo_tell_fields, mo_ask_fields;
 
 /* A request, and the parts that its pointers point to. */
 struct mo_parsed_evaluation {
@@ -117,14 +116,6 @@ struct mo_parsed_campaign {
 };
 int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed,
                       struct mo_faults *faults);
-
-struct mo_parsed_atlas {
-  struct mo_atlas_request request;
-  struct mo_parts parts;
-  int task; /* of mo_suite_task_words; −1: none */
-};
-int mo_atlas_parse(const char *text, size_t size, struct mo_parsed_atlas *parsed,
-                   struct mo_faults *faults);
 
 /* The bodies of POST …/tell and …/ask of a study. The caller frees `parents` in every case. */
 struct mo_parsed_telling {

@@ -456,7 +456,7 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   "id kind " JOB " controller.name environments n_designs:n rollouts_total:n rollouts_done:n"      \
   " training.kind training.name training.step:n training.steps:n training.score:n campaign.mode"   \
   " campaign.population:n campaign.generation:n campaign.generations:n campaign.seed:n"            \
-  " campaign.best_score:n"
+  " campaign.best_score:n atlas.name atlas.voxels:n atlas.bodies_done:n atlas.bodies_total:n"
 #define EVALUATIONS                                                                                \
   "id " JOB " controller.name controller.sha256 environments precision n_designs:n"                \
   " rollouts_total:n rollouts_done:n rollouts_cached:n rollouts_diverged:n record"                 \

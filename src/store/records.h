@@ -39,12 +39,7 @@
 #define MO_WEIGHT_MIN            1e-3 /* of a job */
 #define MO_WEIGHT_MAX            1e3
 
-enum mo_job_kind {
-  MO_JOB_EVALUATION = 0,
-  MO_JOB_TRAINING = 1,
-  MO_JOB_CAMPAIGN = 2,
-  MO_JOB_ATLAS = 3
-};
+enum mo_job_kind { MO_JOB_EVALUATION = 0, MO_JOB_TRAINING, MO_JOB_CAMPAIGN, MO_JOB_ATLAS };
 #define MO_JOB_KINDS 4
 enum mo_job_state {
   MO_JOB_QUEUED = 0,

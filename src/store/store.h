@@ -3,8 +3,7 @@
  *   <path>/morphod.db (+ -wal, -shm)             all tables (schema/schema.sql)
  *   <path>/controllers/<sha256>.safetensors      weights, identified by content
  *   <path>/trainings/<job>/<step>.checkpoint     states of trainings (store/trainings.h)
- *   <path>/campaigns/<job>/<generation>-<step>.checkpoint
- *                                                learning states of campaigns (store/campaigns.h)
+ *   <path>/campaigns/<job>/<generation>-<step>.checkpoint   of campaigns (store/campaigns.h)
  *   <path>/atlases/<name>.atlas                  atlases (store/atlas_names.h)
  *   <path>/reserve                               4 MiB set aside for a full disk
  *   <path>/lock                                  locked, like the folder, by the process using it

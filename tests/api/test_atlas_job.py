@@ -85,8 +85,8 @@ def all_bodies(service, voxels):
 
 def evaluated(service, robots, value):
     """Returns the losses of robots from an ordinary evaluation, as float64."""
-    request = {"designs": [{"id": robot} for robot in robots], "environments": value["environments"],
-               "physics": value["physics"]}
+    request = {"designs": [{"id": robot} for robot in robots], "physics": value["physics"],
+               "environments": value["environments"]}
     reply = service.evaluate(request, wait=60)
     assert reply.status == 200, reply.body
     results = reply.json()["results"]

@@ -4,6 +4,7 @@
 
 #include <jansson.h>
 
+#include "api/atlas_request.h"
 #include "api/openapi.h"
 #include "api/replicates.h"
 #include "api/requests.h"
