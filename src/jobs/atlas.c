@@ -194,6 +194,13 @@ static int write_file(void *context)
   return error == MO_OK ? mo_atlas_writer_save(run->writer) : error;
 }
 
+/* Where the job continues. */
+static int write_place(void *context)
+{
+  struct run *run = context;
+  return mo_store_atlas_progress(run->jobs->store, run->id, &run->status.record, NULL);
+}
+
 static int write_progress(void *context)
 {
   struct run *run = context;
@@ -353,7 +360,7 @@ static int find_place(struct run *run)
   error = recount(run);
   advance(run, 0);
   return error == MO_OK
-             ? mo_runner_persist(run->runner, write_progress, run, "the progress of the atlas")
+             ? mo_runner_persist(run->runner, write_place, run, "the progress of the atlas")
              : error;
 }
 

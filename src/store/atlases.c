@@ -175,8 +175,9 @@ static int progress(struct mo_store *store, void *arguments)
   int error = mo_run_touch(store, call->id);
   if (error == MO_OK)
     error = write_record(&store->writer, call->id, call->record);
-  return error == MO_OK ? mo_writer_event(store, call->id, "atlas.progress", "%s", call->data)
-                        : error;
+  return error == MO_OK && call->data != NULL
+             ? mo_writer_event(store, call->id, "atlas.progress", "%s", call->data)
+             : error;
 }
 
 int mo_store_atlas_progress(struct mo_store *store, int64_t id,

@@ -63,8 +63,9 @@ int mo_store_atlas_writer(struct mo_store *store, const char *name,
 int mo_store_atlas_restart(struct mo_store *store, const char *name);
 /* Returns whether the disk is full, so that only urgent writes may use the rest of it. */
 bool mo_store_is_short(const struct mo_store *store);
-/* Stores the progress, with the event "atlas.progress". data: a JSON object. MO_ERR_CONFLICT: the
- * job has ended, or was not started under this opening of the store. */
+/* Stores the progress, with the event "atlas.progress". data: a JSON object; NULL: no event,
+ * because no body was added, so the attempt does not count as healthy yet. MO_ERR_CONFLICT: the job
+ * has ended, or was not started under this opening of the store. */
 int mo_store_atlas_progress(struct mo_store *store, int64_t id,
                             const struct mo_atlas_record *progress, const char *data);
 /* running → succeeded, once the file is complete. The record has the last progress. Deletes the
