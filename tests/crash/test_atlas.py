@@ -1,7 +1,8 @@
 """An atlas has the same bytes, whatever killed its builder, and however many threads it had."""
 import random
 
-from daemon import open_database
+from daemon import Daemon, open_database
+from test_disk import fill
 
 REQUEST = {
     "voxels": 5, "name": "all", "physics": {"n_steps": 800},
@@ -100,4 +101,23 @@ def test_left_over(daemon):
         assert sorted(path.name for path in folder.iterdir()) == ["all.atlas.part", "other.atlas"]
         assert one.act(job, "cancel")["state"] == "cancelled"
         one.until(lambda: not (folder / "all.atlas.part").exists())
+        one.end()
+
+
+def test_full_disk(small_disk, daemon):
+    """The job waits while there is no room, reports it, and continues when there is."""
+    with daemon("roomy", workers=2) as quiet:
+        quiet.succeed(quiet.submit(REQUEST, "atlases"), "jobs")
+        expected = file_of(quiet).read_bytes()
+        quiet.end()
+    with Daemon(small_disk / "d", small_disk.parent, workers=2) as one:
+        job = one.submit(REQUEST, "atlases")
+        one.until(lambda: done(one, job) > 0)
+        filler = fill(small_disk)
+        waiting = one.awaited(f"/v1/jobs/{job}", lambda now: now["state"] == "paused")
+        assert "no space" in waiting["reason"] and "will continue" in waiting["reason"], waiting
+        assert waiting["atlas"]["phase"] == "waiting"
+        filler.unlink()
+        one.succeed(job, "jobs")
+        assert file_of(one).read_bytes() == expected
         one.end()
