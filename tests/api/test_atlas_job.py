@@ -76,9 +76,10 @@ def all_bodies(service, voxels):
                              (x, y, z + 1), (x, y, z - 1)):
                     if more not in shape:
                         low = [min(cell[i] for cell in shape | {more}) for i in range(3)]
-                        moved = frozenset((a - low[0] + 0, b - low[1] + 0, c - low[2] + 0)
+                        moved = frozenset((a - low[0], b - low[1], c - low[2])
                                           for a, b, c in shape | {more})
-                        grown.add(moved)
+                        if all(a < 6 and b < 6 and c < 4 for a, b, c in moved):
+                            grown.add(moved)
         shapes = grown
     return ids
 
