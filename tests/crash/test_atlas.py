@@ -121,3 +121,36 @@ def test_full_disk(small_disk, daemon):
         one.succeed(job, "jobs")
         assert file_of(one).read_bytes() == expected
         one.end()
+
+
+def test_files_of_others(daemon):
+    """An unfinished file of other code is built again from the start, which the log says. A
+    complete file that somebody put there stays, and the job fails."""
+    with daemon("one", workers=1) as one:
+        job = one.submit(REQUEST, "atlases")
+        one.until(lambda: done(one, job) > 0)
+        one.act(job, "pause")
+        one.end()
+        part = file_of(one).with_name("all.atlas.part")
+        content = bytearray(part.read_bytes())
+        content[232] ^= 1  # of the fingerprint
+        part.write_bytes(content)
+        one.start()
+        one.act(job, "resume")
+        one.succeed(job, "jobs")
+        assert "was computed by other code" in one.log.read_text()
+        expected = file_of(one).read_bytes()
+        again = one.submit(REQUEST | {"name": "again"}, "atlases")
+        one.succeed(again, "jobs")
+        assert file_of(one).with_name("again.atlas").read_bytes() == expected
+        foreign = one.submit(REQUEST | {"name": "foreign"}, "atlases")
+        one.act(foreign, "pause")
+        one.end()
+        path = file_of(one).with_name("foreign.atlas")
+        path.write_bytes(b"somebody's")
+        one.start()
+        one.act(foreign, "resume")
+        failed = one.finish(foreign, "jobs")
+        assert failed["state"] == "failed" and "another atlas" in failed["error"]["detail"], failed
+        assert path.read_bytes() == b"somebody's"
+        one.end()
