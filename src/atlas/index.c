@@ -6,6 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#define DIGITS (UINT32_C(1) << 16)
+
 /* Returns a number that is ordered like a score, which is not NaN. −0 and 0 are one score. */
 static uint32_t order_of(float score)
 {
@@ -15,21 +17,45 @@ static uint32_t order_of(float score)
   return bits >> 31 != 0 ? ~bits : bits | UINT32_C(1) << 31;
 }
 
-/* Sorts all positions: each item has the score in its low half, so that a stable sort by it keeps
- * equal ones in the order of their positions. */
+/* Turns counts into the place of the first item of each digit. */
+static void place_digits(uint32_t *counts)
+{
+  uint32_t sum = 0;
+  for (uint32_t digit = 0; digit < DIGITS; digit++) {
+    const uint32_t n = counts[digit];
+    counts[digit] = sum;
+    sum += n;
+  }
+}
+
+/* Sorts all positions by score, stably, with digits of 16 bits. by_size holds the positions between
+ * the passes, beside their higher digits, so that little memory is needed in addition to the
+ * index. */
 static int sort_all(struct mo_atlas_index *index)
 {
-  uint64_t *items = malloc(index->n * sizeof(*items)), *scratch = malloc(index->n * sizeof(*items));
-  const int error = items != NULL && scratch != NULL ? MO_OK : MO_ERR_NO_MEMORY;
-  if (error == MO_OK) {
-    for (uint64_t i = 0; i < index->n; i++)
-      items[i] = i << 32 | order_of(mo_atlas_score(index->atlas, i));
-    mo_atlas_sort(items, scratch, index->n, 4);
-    for (uint64_t i = 0; i < index->n; i++)
-      index->all[i] = (uint32_t)(items[i] >> 32);
+  uint32_t *low = calloc(2 * (size_t)DIGITS, sizeof(*low));
+  uint32_t *high = low != NULL ? low + DIGITS : NULL;
+  uint16_t *higher = malloc(index->n * sizeof(*higher));
+  const int error = low != NULL && higher != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  for (uint64_t i = 0; error == MO_OK && i < index->n; i++) {
+    const uint32_t order = order_of(mo_atlas_score(index->atlas, i));
+    low[order % DIGITS]++;
+    high[order / DIGITS]++;
   }
-  free(items);
-  free(scratch);
+  if (error == MO_OK) {
+    place_digits(low);
+    place_digits(high);
+  }
+  for (uint64_t i = 0; error == MO_OK && i < index->n; i++) {
+    const uint32_t order = order_of(mo_atlas_score(index->atlas, i));
+    const uint32_t at = low[order % DIGITS]++;
+    index->by_size[at] = (uint32_t)i;
+    higher[at] = (uint16_t)(order / DIGITS);
+  }
+  for (uint64_t i = 0; error == MO_OK && i < index->n; i++)
+    index->all[high[higher[i]]++] = index->by_size[i];
+  free(low);
+  free(higher);
   return error;
 }
 
