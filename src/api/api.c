@@ -4,7 +4,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "api/handlers.h"
+#include "api/atlas_json.h"
 #include "api/openapi.h"
 #include "base/clock.h"
 #include "fleet/fleet.h"
@@ -63,6 +63,7 @@ static void stop(void *context)
 static void destroy(struct mo_api *api)
 {
   mo_body_stream_free(api->random_stream.stream);
+  mo_atlas_library_free(&api->atlases);
   free(api);
 }
 
@@ -87,6 +88,7 @@ int mo_api_start(const struct mo_http_config *config, const struct mo_api_servic
                          .load.mutex = PTHREAD_MUTEX_INITIALIZER,
                          .random_stream.mutex = PTHREAD_MUTEX_INITIALIZER,
                          .jobs_changed = true};
+  mo_atlas_library_init(&api->atlases, services->store, mo_atlas_write_description);
   snprintf(api->version, sizeof(api->version), "%s",
            services->version != NULL ? services->version : "");
   mo_sha256_of(mo_openapi_json, mo_openapi_json_size, &contract);

@@ -4,6 +4,7 @@
 #define MORPHO_API_HANDLERS_H
 
 #include "api/api.h"
+#include "api/atlas_library.h"
 #include "base/text.h"
 #include "http/field.h"
 #include "http/query.h"
@@ -52,6 +53,7 @@ struct mo_api {
   atomic_bool jobs_changed;
   struct mo_load load;
   struct mo_random_stream random_stream;
+  struct mo_atlas_library atlases;
 };
 
 /* Returns the interface that a request is for. */

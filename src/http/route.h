@@ -73,7 +73,7 @@ struct mo_routes {
   const struct mo_route *items;
   size_t n;
 };
-#define MO_ROUTES_MAX           96
+#define MO_ROUTES_MAX           128
 #define MO_PATH_PARAMETERS      3
 #define MO_PATH_PARAMETER_BYTES 160 /* a genotype has 144 digits */
 

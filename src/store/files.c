@@ -98,9 +98,16 @@ static bool has_bytes(const char *path, const uint8_t *bytes, size_t size)
 int mo_file_write(struct mo_store *store, const char *folder, const char *path,
                   const uint8_t *bytes, size_t size)
 {
+  return mo_file_write_checked(store, folder, path, bytes, size, NULL, NULL);
+}
+
+int mo_file_write_checked(struct mo_store *store, const char *folder, const char *path,
+                          const uint8_t *bytes, size_t size,
+                          int (*check)(void *context, const char *path), void *context)
+{
   const struct mo_file_operations *files = store->files;
   char *temporary;
-  if (has_bytes(path, bytes, size)) /* a crash may have left the file without its row */
+  if (check == NULL && has_bytes(path, bytes, size)) /* a crash may have left it without its row */
     return mo_folder_sync(store, folder);
   if (asprintf(&temporary, "%s/.tmp-%u", folder, atomic_fetch_add(&store->file_counter, 1)) < 0)
     return MO_ERR_NO_MEMORY;
@@ -108,6 +115,8 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path,
   int error = fd < 0 ? mo_file_error() : write_and_sync(store, fd, bytes, size);
   if (fd >= 0 && files->close(fd) != 0 && error == MO_OK)
     error = mo_file_error();
+  if (error == MO_OK && check != NULL)
+    error = check(context, temporary);
   if (error == MO_OK && files->rename(temporary, path) != 0)
     error = mo_file_error();
   if (error != MO_OK && fd >= 0)

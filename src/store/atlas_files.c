@@ -1,0 +1,117 @@
+/* atlas_files.c: see atlas_files.h. */
+#include "store/atlas_files.h"
+
+#include <dirent.h>
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <morpho/atlas.h>
+
+#include "store/folder.h"
+
+#define ENDING ".atlas"
+
+/* ---- lists ---- */
+
+static bool read_name(const char *file, struct mo_atlas_name *name)
+{
+  const size_t size = strlen(file), ending = sizeof(ENDING) - 1;
+  if (size <= ending || size - ending > MO_ATLAS_NAME_MAX ||
+      strcmp(file + size - ending, ENDING) != 0)
+    return false;
+  memcpy(name->text, file, size - ending);
+  name->text[size - ending] = '\0';
+  return mo_atlas_name_is_valid(name->text);
+}
+
+static int compare(const void *a, const void *b)
+{
+  return strcmp(((const struct mo_atlas_name *)a)->text, ((const struct mo_atlas_name *)b)->text);
+}
+
+int mo_store_atlas_names(const struct mo_store *store, struct mo_atlas_name **ret, uint32_t *n)
+{
+  DIR *folder = opendir(mo_store_atlases_path(store));
+  const struct dirent *entry;
+  struct mo_atlas_name *names = NULL, name;
+  uint32_t found = 0;
+  int error = folder != NULL ? MO_OK : mo_open_error();
+  while (error == MO_OK && (entry = readdir(folder)) != NULL) {
+    if (!read_name(entry->d_name, &name))
+      continue;
+    struct mo_atlas_name *grown = realloc(names, ((size_t)found + 1) * sizeof(*names));
+    if (grown == NULL)
+      error = MO_ERR_NO_MEMORY;
+    else
+      names = grown;
+    if (error == MO_OK)
+      names[found++] = name;
+  }
+  if (folder != NULL)
+    (void)closedir(folder);
+  if (error != MO_OK) {
+    free(names);
+    return error;
+  }
+  if (found > 0)
+    qsort(names, found, sizeof(*names), compare);
+  *ret = names;
+  *n = found;
+  return MO_OK;
+}
+
+/* ---- changes ---- */
+
+bool mo_atlas_is_of_store(const struct mo_atlas *atlas, struct mo_message *message)
+{
+  const struct mo_workspace own = MO_STORE_WORKSPACE,
+                            its = mo_atlas_source_of(atlas)->scope.workspace;
+  if (mo_workspace_equal(own, its))
+    return true;
+  (void)mo_fail(message, MO_ERR_UNSUPPORTED,
+                "the atlas has bodies of a workspace of %u × %u × %u voxels, and this service's "
+                "has %u × %u × %u: read the file with the Python package",
+                its.nx, its.ny, its.nz, own.nx, own.ny, own.nz);
+  return false;
+}
+
+/* Reads and checks a file that has no name yet. */
+static int check_file(void *context, const char *path)
+{
+  struct mo_message *message = context;
+  struct mo_atlas *atlas = NULL;
+  int error = mo_atlas_open(path, &atlas, message);
+  if (error == MO_OK && !mo_atlas_is_of_store(atlas, message))
+    error = MO_ERR_UNSUPPORTED;
+  mo_atlas_close(atlas);
+  return error;
+}
+
+int mo_store_atlas_put(struct mo_store *store, const char *name, const void *bytes, size_t size,
+                       bool *created, struct mo_message *message)
+{
+  char *path = mo_store_atlas_path(store, name);
+  if (path == NULL)
+    return MO_ERR_NO_MEMORY;
+  *created = access(path, F_OK) != 0;
+  int error = *created ? mo_store_atlas_name_check(store, name, message) : MO_OK;
+  if (error == MO_OK)
+    error = mo_file_write_checked(store, mo_store_atlases_path(store), path, bytes, size,
+                                  check_file, message);
+  free(path);
+  return error;
+}
+
+int mo_store_atlas_delete(struct mo_store *store, const char *name)
+{
+  char *path = mo_store_atlas_path(store, name);
+  if (path == NULL)
+    return MO_ERR_NO_MEMORY;
+  int error = MO_OK;
+  if (store->files->unlink(path) != 0)
+    error = errno == ENOENT ? MO_ERR_NOT_FOUND : mo_file_error();
+  free(path);
+  return error == MO_OK ? mo_folder_sync(store, mo_store_atlases_path(store)) : error;
+}

@@ -1,0 +1,31 @@
+/* atlas_files.h: the complete atlases of the state folder: lists, stores and deletes their files.
+ * atlas_names.h has their names. Errors also as in store.h. */
+#ifndef MORPHO_STORE_ATLAS_FILES_H
+#define MORPHO_STORE_ATLAS_FILES_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "store/atlas_names.h"
+
+/* A name with its NUL. */
+struct mo_atlas_name {
+  char text[MO_ATLAS_NAME_MAX + 1];
+};
+/* Reads the names of all complete atlases, in alphabetical order: (n), malloc. */
+int mo_store_atlas_names(const struct mo_store *store, struct mo_atlas_name **names, uint32_t *n);
+
+/* Stores a file under a valid name, durably, or replaces the one that has it; who has that one
+ * mapped keeps it. It gets its name only after it has been read and checked. *created: the name is
+ * new. MO_ERR_CONFLICT: a job builds this name; MO_ERR_FORMAT, MO_ERR_UNSUPPORTED, MO_ERR_CORRUPT:
+ * not a whole atlas of the store's workspace. message says why. */
+int mo_store_atlas_put(struct mo_store *store, const char *name, const void *bytes, size_t size,
+                       bool *created, struct mo_message *message);
+/* Deletes a file, durably; who has it mapped keeps it. MO_ERR_NOT_FOUND. */
+int mo_store_atlas_delete(struct mo_store *store, const char *name);
+
+/* Returns whether an atlas is of the store's workspace; the message says which one it has. */
+struct mo_atlas;
+bool mo_atlas_is_of_store(const struct mo_atlas *atlas, struct mo_message *message);
+
+#endif
