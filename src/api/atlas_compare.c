@@ -12,6 +12,7 @@
 
 #include "api/atlas_json.h"
 #include "atlas/file.h"
+#include "base/memory.h"
 
 #define BINS_MAX     256
 #define BINS_DEFAULT 64
@@ -183,8 +184,8 @@ static uint64_t order_seconds(const struct comparison *comparison, float *second
 
 static int correlate(struct comparison *comparison)
 {
-  float *seconds = malloc((comparison->n + 1) * sizeof(*seconds));
-  float *scratch = malloc((comparison->n + 1) * sizeof(*scratch));
+  float *seconds = mo_pages_alloc(comparison->n + 1, sizeof(*seconds));
+  float *scratch = mo_pages_alloc(comparison->n + 1, sizeof(*scratch));
   const int error = seconds != NULL && scratch != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   if (error == MO_OK) {
     uint64_t ties, both;
@@ -196,8 +197,8 @@ static int correlate(struct comparison *comparison)
         (double)all - (double)ties - (double)others + (double)both - 2 * (double)discordant;
     comparison->tau = untied > 0 ? balance / sqrt(untied) : NAN;
   }
-  free(seconds);
-  free(scratch);
+  mo_pages_free(seconds, comparison->n + 1, sizeof(*seconds));
+  mo_pages_free(scratch, comparison->n + 1, sizeof(*scratch));
   return error;
 }
 

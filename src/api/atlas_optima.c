@@ -4,10 +4,10 @@
  * found once, from its larger body. Only the bodies of the listed basins are looked at: a small
  * part of all. */
 #include <stdlib.h>
-#include <string.h>
 
 #include "api/atlas_json.h"
 
+#define OPTIMA_MAX     500
 #define OPTIMA_DEFAULT 200
 #define PER_CHECK      4096 /* bodies between two looks at whether the client is still there */
 
@@ -17,58 +17,82 @@ struct optimum {
 };
 
 struct network {
-  struct optimum *optima; /* (n) the largest basins first */
   uint32_t n, limit;
-  uint16_t *places;   /* (bodies) 1 + the place of a body's optimum in `optima`; 0: not listed */
-  uint32_t *touching; /* (n, n) pairs of neighbors, at [lower place][higher place] */
+  struct optimum optima[OPTIMA_MAX]; /* (n) the largest basins first */
+  uint32_t positions[OPTIMA_MAX];    /* (n) theirs, ascending */
+  uint16_t places[OPTIMA_MAX];       /* (n) the place in `optima` of each of these */
+  uint32_t *touching;                /* (n, n) pairs of neighbors, at [lower place][higher place] */
 };
 
-static void free_network(struct network *network)
+static int compare(const struct optimum *a, const struct optimum *b)
 {
-  free(network->optima);
-  free(network->places);
-  free(network->touching);
+  if (a->basin != b->basin)
+    return a->basin > b->basin ? -1 : 1;
+  if (a->score != b->score)
+    return a->score < b->score ? -1 : 1;
+  return a->position < b->position ? -1 : 1;
 }
 
-static int compare(const void *a, const void *b)
+/* Keeps an optimum if it is among the first. */
+static void keep(struct network *network, struct optimum optimum)
 {
-  const struct optimum *p = a, *q = b;
-  if (p->basin != q->basin)
-    return p->basin > q->basin ? -1 : 1;
-  if (p->score != q->score)
-    return p->score < q->score ? -1 : 1;
-  return p->position < q->position ? -1 : 1;
+  uint32_t at = network->n;
+  if (at == network->limit && compare(&network->optima[at - 1], &optimum) < 0)
+    return;
+  at -= at == network->limit;
+  network->n = at + 1;
+  for (; at > 0 && compare(&optimum, &network->optima[at - 1]) < 0; at--)
+    network->optima[at] = network->optima[at - 1];
+  network->optima[at] = optimum;
 }
 
-static int find_optima(const struct mo_atlas_use *use, struct network *network)
+static void find_optima(const struct mo_atlas_use *use, struct network *network)
 {
   const uint64_t n_bodies = mo_atlas_bodies_of(use->atlas);
-  uint32_t n = 0;
-  network->optima = malloc(mo_atlas_optima(use->basins) * sizeof(*network->optima));
-  if (network->optima == NULL)
-    return MO_ERR_NO_MEMORY;
   for (uint64_t i = 0; i < n_bodies; i++) {
     const uint64_t basin = mo_atlas_basin_of(use->basins, i);
     if (basin > 0)
-      network->optima[n++] =
-          (struct optimum){(uint32_t)i, (uint32_t)basin, mo_atlas_score(use->atlas, i)};
+      keep(network, (struct optimum){(uint32_t)i, (uint32_t)basin, mo_atlas_score(use->atlas, i)});
   }
-  qsort(network->optima, n, sizeof(*network->optima), compare);
-  network->n = n < network->limit ? n : network->limit;
-  return MO_OK;
+  for (uint32_t i = 0; i < network->n; i++) {
+    const uint32_t position = network->optima[i].position;
+    uint32_t at = i;
+    for (; at > 0 && network->positions[at - 1] > position; at--) {
+      network->positions[at] = network->positions[at - 1];
+      network->places[at] = network->places[at - 1];
+    }
+    network->positions[at] = position;
+    network->places[at] = (uint16_t)i;
+  }
 }
 
-/* Counts the pairs of a body and its neighbors with one voxel less. */
-static void count_pairs(const struct mo_atlas_use *use, struct network *network, uint64_t body)
+/* Returns the place of the optimum of a body, or OPTIMA_MAX if it is not listed. */
+static uint32_t place_of(const struct mo_atlas_use *use, const struct network *network,
+                         uint64_t body)
+{
+  const uint64_t optimum = mo_atlas_optimum_of(use->basins, body);
+  uint32_t low = 0, high = network->n;
+  while (low < high) {
+    const uint32_t middle = low + (high - low) / 2;
+    if (network->positions[middle] < optimum)
+      low = middle + 1;
+    else
+      high = middle;
+  }
+  return low < network->n && network->positions[low] == optimum ? network->places[low] : OPTIMA_MAX;
+}
+
+/* Counts the pairs of a body and its neighbors with one voxel less. from: its optimum's place. */
+static void count_pairs(const struct mo_atlas_use *use, struct network *network, uint64_t body,
+                        uint32_t from)
 {
   struct mo_atlas_neighbor smaller[MO_ATLAS_NEIGHBORS_MAX];
-  const uint32_t from = network->places[body];
   const uint32_t n = mo_atlas_neighbors(use->atlas, body, MO_ATLAS_REMOVE, smaller);
   for (uint32_t i = 0; i < n; i++) {
-    const uint32_t to = network->places[smaller[i].position];
-    if (to != 0 && to != from)
-      network->touching[(from < to ? from - 1 : to - 1) * (size_t)network->n +
-                        (from < to ? to - 1 : from - 1)]++;
+    const uint32_t to = place_of(use, network, smaller[i].position);
+    const uint32_t low = from < to ? from : to, high = from < to ? to : from;
+    if (high != OPTIMA_MAX && low != high)
+      network->touching[low * (size_t)network->n + high]++;
   }
 }
 
@@ -76,19 +100,15 @@ static int find_touching(struct mo_request *request, const struct mo_atlas_use *
                          struct network *network)
 {
   const uint64_t n_bodies = mo_atlas_bodies_of(use->atlas);
-  network->places = calloc(n_bodies, sizeof(*network->places));
   network->touching = calloc((size_t)network->n * network->n, sizeof(*network->touching));
-  if (network->places == NULL || network->touching == NULL)
+  if (network->touching == NULL)
     return MO_ERR_NO_MEMORY;
-  for (uint32_t i = 0; i < network->n; i++)
-    network->places[network->optima[i].position] = (uint16_t)(i + 1);
-  for (uint64_t i = 0; i < n_bodies; i++)
-    network->places[i] = network->places[mo_atlas_optimum_of(use->basins, i)];
   for (uint64_t i = 0; i < n_bodies; i++) {
     if (i % PER_CHECK == 0 && mo_request_is_over(request))
       return MO_ERR_CANCELLED;
-    if (network->places[i] != 0)
-      count_pairs(use, network, i);
+    const uint32_t place = place_of(use, network, i);
+    if (place != OPTIMA_MAX)
+      count_pairs(use, network, i, place);
   }
   return MO_OK;
 }
@@ -122,16 +142,21 @@ void mo_api_get_atlas_optima(struct mo_request *request)
   struct mo_atlas_use use;
   struct mo_text text = {0};
   int64_t limit = OPTIMA_DEFAULT;
-  if (!mo_query_number(request, "limit", 1, MO_LIST_MAX, &limit) ||
+  if (!mo_query_number(request, "limit", 1, OPTIMA_MAX, &limit) ||
       !mo_atlas_begin(request, MO_ATLAS_NEED_BASINS, &use))
     return;
-  struct network network = {.limit = (uint32_t)limit};
-  int error = find_optima(&use, &network);
+  struct network *network = calloc(1, sizeof(*network));
+  int error = network != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  if (error == MO_OK) {
+    network->limit = (uint32_t)limit;
+    find_optima(&use, network);
+    error = find_touching(request, &use, network);
+  }
   if (error == MO_OK)
-    error = find_touching(request, &use, &network);
-  if (error == MO_OK)
-    write_network(&text, &use, &network);
+    write_network(&text, &use, network);
   mo_reply_text(request, error, &text, "optima");
-  free_network(&network);
+  if (network != NULL)
+    free(network->touching);
+  free(network);
   mo_atlas_done(request, &use);
 }

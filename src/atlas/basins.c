@@ -5,6 +5,7 @@
  * best first, each body has the optimum of its best neighbor, which is better and so known. */
 #include "atlas/index.h"
 #include "atlas/neighbors.h"
+#include "base/memory.h"
 #include "base/thread.h"
 
 #include <stdlib.h>
@@ -68,8 +69,8 @@ int mo_atlas_basins_create(const struct mo_atlas *atlas, const struct mo_atlas_i
   if (made == NULL)
     return MO_ERR_NO_MEMORY;
   made->n = mo_atlas_bodies_of(atlas);
-  made->optima = malloc(made->n * sizeof(*made->optima));
-  made->bodies = calloc(made->n, sizeof(*made->bodies));
+  made->optima = mo_pages_alloc(made->n, sizeof(*made->optima));
+  made->bodies = mo_pages_alloc(made->n, sizeof(*made->bodies));
   int error = made->optima != NULL && made->bodies != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   if (error == MO_OK)
     error = find_best(atlas, cancel, made->optima);
@@ -86,8 +87,8 @@ void mo_atlas_basins_free(struct mo_atlas_basins *basins)
 {
   if (basins == NULL)
     return;
-  free(basins->optima);
-  free(basins->bodies);
+  mo_pages_free(basins->optima, basins->n, sizeof(*basins->optima));
+  mo_pages_free(basins->bodies, basins->n, sizeof(*basins->bodies));
   free(basins);
 }
 

@@ -2,6 +2,7 @@
 #include "atlas/index.h"
 
 #include "atlas/neighbors.h"
+#include "base/memory.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -33,9 +34,9 @@ static void place_digits(uint32_t *counts)
  * index. */
 static int sort_all(struct mo_atlas_index *index)
 {
-  uint32_t *low = calloc(2 * (size_t)DIGITS, sizeof(*low));
+  uint32_t *low = mo_pages_alloc(2 * (size_t)DIGITS, sizeof(*low));
   uint32_t *high = low != NULL ? low + DIGITS : NULL;
-  uint16_t *higher = malloc(index->n * sizeof(*higher));
+  uint16_t *higher = mo_pages_alloc(index->n, sizeof(*higher));
   const int error = low != NULL && higher != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   for (uint64_t i = 0; error == MO_OK && i < index->n; i++) {
     const uint32_t order = order_of(mo_atlas_score(index->atlas, i));
@@ -54,8 +55,8 @@ static int sort_all(struct mo_atlas_index *index)
   }
   for (uint64_t i = 0; error == MO_OK && i < index->n; i++)
     index->all[high[higher[i]]++] = index->by_size[i];
-  free(low);
-  free(higher);
+  mo_pages_free(low, 2 * (size_t)DIGITS, sizeof(*low));
+  mo_pages_free(higher, index->n, sizeof(*higher));
   return error;
 }
 
@@ -79,8 +80,8 @@ int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **
     return MO_ERR_NO_MEMORY;
   made->atlas = atlas;
   made->n = mo_atlas_bodies_of(atlas);
-  made->all = malloc(made->n * sizeof(*made->all));
-  made->by_size = malloc(made->n * sizeof(*made->by_size));
+  made->all = mo_pages_alloc(made->n, sizeof(*made->all));
+  made->by_size = mo_pages_alloc(made->n, sizeof(*made->by_size));
   int error = made->all != NULL && made->by_size != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   if (error == MO_OK)
     error = sort_all(made);
@@ -97,8 +98,8 @@ void mo_atlas_index_free(struct mo_atlas_index *index)
 {
   if (index == NULL)
     return;
-  free(index->all);
-  free(index->by_size);
+  mo_pages_free(index->all, index->n, sizeof(*index->all));
+  mo_pages_free(index->by_size, index->n, sizeof(*index->by_size));
   free(index);
 }
 

@@ -1,4 +1,4 @@
-/* memory.h: aligned allocation, checked against overflow. */
+/* memory.h: aligned allocation, checked against overflow, and memory for a while. */
 #ifndef MORPHO_BASE_MEMORY_H
 #define MORPHO_BASE_MEMORY_H
 
@@ -9,5 +9,11 @@
 /* Allocates count × size bytes, zeroed and aligned to MO_CACHE_LINE_BYTES. Returns NULL on overflow
  * or if out of memory; never NULL for a product of 0. Release it with free(). */
 void *mo_alloc_aligned(size_t count, size_t size);
+
+/* Allocates count × size bytes, zeroed, as pages of their own, which mo_pages_free (with the same
+ * numbers; NULL-safe) returns to the system at once: malloc may keep megabytes that were freed.
+ * Returns NULL on overflow or if out of memory. */
+void *mo_pages_alloc(size_t count, size_t size);
+void mo_pages_free(void *memory, size_t count, size_t size);
 
 #endif

@@ -3,6 +3,17 @@
 
 #include "../failing.h"
 
+#include <sys/mman.h>
+
+void *__real_mmap64(void *at, size_t size, int protection, int flags, int fd, off_t offset);
+void *__wrap_mmap64(void *at, size_t size, int protection, int flags, int fd, off_t offset);
+
+/* Files are mapped, and large arrays are pages of their own. (mmap is a macro for this.) */
+void *__wrap_mmap64(void *at, size_t size, int protection, int flags, int fd, off_t offset)
+{
+  return fails() ? MAP_FAILED : __real_mmap64(at, size, protection, flags, fd, offset);
+}
+
 static int stream(void)
 {
   const struct mo_atlas_scope scope = {MO_DEFAULT_WORKSPACE, 7};
