@@ -6,6 +6,7 @@ With MORPHO_EXAMPLES=write, the examples of replies are written from the replies
 import json
 import os
 
+from atlases import file_of
 from service import BOOTSTRAP, CONTRACT, SOURCE, await_end
 
 FILE = SOURCE / "schema" / "examples.json"
@@ -54,6 +55,14 @@ def walk(service):
     call("POST", "/v1/rollouts", "RolloutsRequest")
     call("PUT", "/v1/controllers/walker/file", body=BOOTSTRAP.read_bytes())
     call("PUT", "/v1/controllers/walker/file", body=BOOTSTRAP.read_bytes())
+
+    call("PUT", "/v1/atlases/small/file", body=file_of())
+    call("PUT", "/v1/atlases/small/file", body=file_of())
+    for path in ("", "/optima", "/body?position=9", "/neighbors?position=9", "/ascent?position=0",
+                 "/similar?position=9", "/best?limit=1", "/histogram?bins=8", "/footprints",
+                 "/compare?with=small&bins=8"):
+        call("GET", "/v1/atlases/small" + path)
+    call("GET", "/v1/atlases")
 
     training = call("POST", "/v1/trainings", "TrainingRequest")["id"]
     of = f"/v1/trainings/{training}"
