@@ -83,9 +83,11 @@ void mo_api_list_atlases(struct mo_request *request)
     if (error == MO_OK)
       continue;
     text.size = before > 0 && text.data[before - 1] == ',' ? before - 1 : before;
-    if (error == MO_ERR_FORMAT || error == MO_ERR_UNSUPPORTED || error == MO_ERR_CORRUPT)
+    const bool is_damaged =
+        error == MO_ERR_FORMAT || error == MO_ERR_UNSUPPORTED || error == MO_ERR_CORRUPT;
+    if (is_damaged)
       note_unreadable(api, &unreadable, names[i].text, message.text);
-    if (error != MO_ERR_NO_MEMORY && error != MO_ERR_IO) /* also: it was deleted meanwhile */
+    if (is_damaged || error == MO_ERR_NOT_FOUND) /* it was deleted meanwhile */
       error = MO_OK;
   }
   mo_text_add(&text, "],\"unreadable\":");
@@ -136,7 +138,7 @@ static bool open_file(struct mo_request *request, int *fd, struct stat *status)
               : mo_atlas_name_is_valid(name) ? MO_ERR_NO_MEMORY
                                              : MO_ERR_NOT_FOUND;
   if (error == MO_OK) {
-    *fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+    *fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
     if (*fd < 0)
       error = errno == ENOENT ? MO_ERR_NOT_FOUND : mo_open_error();
     else if (fstat(*fd, status) != 0 || !S_ISREG(status->st_mode))

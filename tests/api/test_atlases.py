@@ -3,13 +3,18 @@ files; files that are no atlases."""
 
 import concurrent.futures
 import itertools
+import json
 import math
+import os
+import pathlib
 import random
+import re
 import struct
 
 import pytest
 
 from atlases import INFINITY, Plain, file_of, write
+from ctl import ctl  # noqa: F401
 
 FILE = {"Content-Type": "application/octet-stream"}
 OF = "/v1/atlases/five"
@@ -374,3 +379,82 @@ def test_a_restart_keeps_them(start, tmp_path):
     service = start(state=state)
     assert service.get("/v1/atlases/kept") == before
     assert [path.name for path in (state / "atlases").iterdir()] == ["kept.atlas"]
+
+
+def memory(service):
+    """Returns the resident bytes that do not belong to a file."""
+    text = pathlib.Path(f"/proc/{service.process.pid}/status").read_text()
+    return 1024 * int(re.search(r"RssAnon:\s+(\d+) kB", text)[1])
+
+
+def test_memory(start):
+    """All bodies of ten voxels, in five files: more than may be open, and more than the memory for
+    indices and basins holds. The service's memory grows by at most 20 MB."""
+    service = start()
+    folder = service.state / "atlases"
+    write(folder / "a.atlas", voxels=10, levels=10**6)
+    for name in "bcde":
+        os.link(folder / "a.atlas", folder / f"{name}.atlas")
+    put(service, "small", file_of())
+    for path in ("/small/body?position=1", "/small/optima", "/small/compare?with=small"):
+        service.get("/v1/atlases" + path)
+    before = memory(service)
+    for name, path in (("a", "body?position=9"), ("a", "optima?limit=500"), ("b", "best?limit=9"),
+                       ("a", "compare?with=b"), ("c", "histogram"), ("c", "footprints"),
+                       ("d", "similar?position=700000"), ("e", "ascent?position=0"),
+                       ("a", "body?position=1000000")):
+        service.get(f"/v1/atlases/{name}/{path}")
+        assert memory(service) - before < 20e6, (name, path)
+    maps = pathlib.Path(f"/proc/{service.process.pid}/maps").read_text()
+    assert len(service.get("/v1/atlases")["items"]) == 6
+    assert 1 <= len(re.findall(r"\.atlas$", maps, re.M)) <= 4
+    assert memory(service) - before < 20e6
+
+
+# ---- morphoctl ----
+
+
+def test_commands(service, atlas, plain, ctl, tmp_path):  # noqa: F811
+    def run(command, *arguments):
+        code, out, err = ctl("atlas " + command, *arguments)
+        assert code == 0, err
+        return out
+
+    best = plain.body(plain.order[0])
+    assert f"five        5      124  canonical               10  {best['score']:.4f}" in run("list")
+    shown = run("show five")
+    assert f"best           {best['id']}, score {best['score']:.4f}" in shown
+    assert json.loads(run("show five --json")) == service.get(atlas)
+    body = plain.body(40)
+    for given in (["--position", "40"], [body["id"]], [body["genotype"]]):
+        assert f"rank           {body['rank']}, better than " in run("body five", *given)
+    assert json.loads(run("body five --json --steps move --changes 3", body["id"])) == service.get(
+        f"{atlas}/body?position=40&steps=move&changes=3")
+    neighbors = plain.neighbors(40, ("add", "move"))
+    lines = run("neighbors five --position 40 --steps add,move").splitlines()[1:]
+    assert [line.split()[0] for line in lines] == list(neighbors.values())
+    assert [line.split()[-1] for line in lines] == [plain.body(i)["id"] for i in neighbors]
+    path = [line.split()[-1] for line in run("ascent five --position 40").splitlines()[1:]]
+    assert path == [plain.body(i)["id"] for i in plain.ascend(40)]
+    similar = service.get(f"{atlas}/similar?position=40&limit=5")["items"]
+    assert [line.split()[-1] for line in
+            run("similar five --position 40 -n 5").splitlines()[1:]] == [b["id"] for b in similar]
+    assert [line.split()[-1] for line in run("best five --voxels 4 -n 9").splitlines()[1:]] == [
+        plain.body(i)["id"] for i in plain.size(4)[:9]]
+    assert len(run("best five --limit 200").splitlines()) == 125
+    assert len(run("optima five -n 2").splitlines()) == 3
+    assert len(run("histogram five --bins 7").splitlines()) == 8  # and one for diverged bodies
+    assert "Kendall's tau  1.0000" in run("compare five five --bins 4")
+    file = tmp_path / "mine.atlas"
+    run("download five --output", str(file))
+    assert file.read_bytes() == file_of(levels=20)
+    assert "124 bodies" in run("upload from-morphoctl", str(file))
+    assert service.get("/v1/atlases/from-morphoctl")["bodies"] == 124
+    run("delete from-morphoctl")
+    for command, code, words in (
+            ("show from-morphoctl", 3, "no such atlas"), ("body five", 2, "--position"),
+            ("body five --position 3 " + body["id"], 2, "not both"),
+            ("body five " + "1" * 144, 3, "144 voxels"), ("upload five /dev/null", 6, "not an atlas"),
+            ("neighbors five --position 3 --steps up", 6, "steps")):
+        got, _, err = ctl("atlas " + command)
+        assert got == code and words in err, (command, got, err)
