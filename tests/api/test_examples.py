@@ -56,12 +56,12 @@ def walk(service):
     call("PUT", "/v1/controllers/walker/file", body=BOOTSTRAP.read_bytes())
     call("PUT", "/v1/controllers/walker/file", body=BOOTSTRAP.read_bytes())
 
-    call("PUT", "/v1/atlases/small/file", body=file_of())
-    call("PUT", "/v1/atlases/small/file", body=file_of())
+    call("PUT", "/v1/atlases/five/file", body=file_of())
+    call("PUT", "/v1/atlases/five/file", body=file_of())
     for path in ("", "/optima", "/body?position=9", "/neighbors?position=9", "/ascent?position=0",
                  "/similar?position=9", "/best?limit=1", "/histogram?bins=8", "/footprints",
-                 "/compare?with=small&bins=8"):
-        call("GET", "/v1/atlases/small" + path)
+                 "/compare?with=five&bins=8"):
+        call("GET", "/v1/atlases/five" + path)
     call("GET", "/v1/atlases")
 
     training = call("POST", "/v1/trainings", "TrainingRequest")["id"]
