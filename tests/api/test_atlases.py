@@ -400,8 +400,9 @@ def test_memory(start):
         service.get("/v1/atlases" + path)
     before = memory(service)
     for name, path in (("a", "body?position=9"), ("a", "optima?limit=20"), ("b", "best?limit=9"),
-                       ("a", "compare?with=b&bins=8"), ("c", "histogram?bins=8"), ("c", "footprints"),
-                       ("d", "similar?position=700000&limit=9"), ("e", "ascent?position=0"),
+                       ("a", "compare?with=b&bins=8"), ("c", "histogram?bins=8"),
+                       ("c", "footprints"), ("d", "similar?position=700000&limit=9"),
+                       ("e", "ascent?position=0"),
                        ("a", "body?position=1000000")):
         service.get(f"/v1/atlases/{name}/{path}")
         assert memory(service) - before < 20e6, (name, path)
@@ -455,7 +456,8 @@ def test_commands(service, atlas, plain, ctl, tmp_path):  # noqa: F811
     for command, code, words in (
             ("show from-morphoctl", 3, "no such atlas"), ("body five", 2, "--position"),
             ("body five --position 3 " + body["id"], 2, "not both"),
-            ("body five " + "1" * 144, 3, "144 voxels"), ("upload five /dev/null", 6, "not an atlas"),
+            ("body five " + "1" * 144, 3, "144 voxels"),
+            ("upload five /dev/null", 6, "not an atlas"),
             ("neighbors five --position 3 --steps up", 6, "steps")):
         got, _, err = ctl("atlas " + command)
         assert got == code and words in err, (command, got, err)
