@@ -101,8 +101,8 @@ const struct setting settings_table[] = {
     VALUE_ROW("max_controller", SETTING_BYTES, max_controller_bytes, 1 * MIB, 4 * GIB, "16M", NULL,
               "Largest controller file that a client may store."),
     VALUE_ROW("max_bundle", SETTING_BYTES, max_bundle_bytes, 1 * MIB, 4 * GIB, "256M", NULL,
-              "Largest bundle of campaigns, or blocks of scores in one request, that a client may "
-              "import; held in memory."),
+              "Largest bundle of campaigns, blocks of scores in one request, or atlas file that a "
+              "client may import; held in memory."),
     VALUE_ROW("header_timeout", SETTING_DURATION, header_timeout_ms, SECOND, HOUR, "10s", NULL,
               "Time limit for the arrival of a request's header."),
     VALUE_ROW("body_timeout", SETTING_DURATION, body_timeout_ms, SECOND, HOUR, "60s", NULL,
