@@ -85,9 +85,13 @@ static void drop(struct mo_atlas_entry *entry)
 
 void mo_atlas_library_free(struct mo_atlas_library *library)
 {
-  struct mo_atlas_entry *entry;
-  while ((entry = LIST_FIRST(&library->entries)) != NULL)
-    drop(entry);
+  struct mo_atlas_entry *entry = LIST_FIRST(&library->entries);
+  while (entry != NULL) {
+    struct mo_atlas_entry *next = LIST_NEXT(entry, others);
+    discard(entry);
+    entry = next;
+  }
+  LIST_INIT(&library->entries);
 }
 
 static int identify(const char *path, struct identity *identity)
@@ -235,8 +239,9 @@ static int ensure_index(struct mo_atlas_library *library, struct mo_atlas_entry 
   return mo_atlas_index_create(entry->atlas, &entry->index);
 }
 
-/* Finds the file of a name, and opens it if necessary. The entry gets a user. */
-static int take(struct mo_atlas_library *library, const char *name, bool opens,
+/* Finds the file of a name, and opens it, unless only the description is needed and known. The
+ * entry gets a user. */
+static int take(struct mo_atlas_library *library, const char *name, bool to_describe,
                 struct mo_atlas_entry **ret, struct mo_message *message)
 {
   char *path = mo_atlas_name_is_valid(name) ? mo_store_atlas_path(library->store, name) : NULL;
@@ -249,7 +254,8 @@ static int take(struct mo_atlas_library *library, const char *name, bool opens,
   for (int attempt = 0; error == MO_OK && !is_current; attempt++) {
     error = attempt < ATTEMPTS ? find_entry(library, name, path, &entry) : MO_ERR_BUSY;
     is_current = true;
-    if (error == MO_OK && opens && entry->atlas == NULL) {
+    const bool is_enough = error == MO_OK && to_describe && entry->description.size > 0;
+    if (error == MO_OK && !is_enough && entry->atlas == NULL) {
       error = open_file(library, entry, path, message);
       is_current = identify(path, &now) != MO_OK || is_same(&now, &entry->identity);
       error = is_current ? error : MO_OK;
@@ -267,10 +273,10 @@ static int take(struct mo_atlas_library *library, const char *name, bool opens,
 static void leave(struct mo_atlas_library *library, struct mo_atlas_entry *entry)
 {
   entry->n_users--;
-  if (entry->n_users == 0 && !entry->is_listed)
-    discard(entry);
   limit_files(library, 0);
   limit_memory(library, 0);
+  if (entry->n_users == 0 && !entry->is_listed)
+    discard(entry);
 }
 
 /* ---- use ---- */
@@ -303,7 +309,7 @@ int mo_atlas_use(struct mo_atlas_library *library, const char *name, enum mo_atl
 {
   struct mo_atlas_entry *entry = NULL;
   pthread_mutex_lock(&library->mutex);
-  int error = take(library, name, true, &entry, message);
+  int error = take(library, name, false, &entry, message);
   if (error == MO_OK && need != MO_ATLAS_NEED_FILE) {
     error = ensure_index(library, entry);
     if (error != MO_OK)
@@ -364,19 +370,13 @@ int mo_atlas_describe(struct mo_atlas_library *library, const char *name, struct
 {
   struct mo_atlas_entry *entry = NULL;
   MO_GUARD(&library->mutex);
-  int error = take(library, name, false, &entry, message);
+  int error = take(library, name, true, &entry, message);
   if (error != MO_OK)
     return error;
-  const bool is_known = entry->description.size > 0;
-  if (is_known) {
+  if (entry->description.size > 0)
     mo_text_bytes(text, entry->description.data, entry->description.size);
-  } else {
-    leave(library, entry);
-    error = take(library, name, true, &entry, message);
-    if (error != MO_OK)
-      return error;
+  else
     error = write_description(library, entry, text);
-  }
   *optima = entry->optima;
   leave(library, entry);
   return error;

@@ -100,7 +100,7 @@ static int find_touching(struct mo_request *request, const struct mo_atlas_use *
                          struct network *network)
 {
   const uint64_t n_bodies = mo_atlas_bodies_of(use->atlas);
-  network->touching = calloc((size_t)network->n * network->n, sizeof(*network->touching));
+  network->touching = calloc((size_t)network->n * network->n + 1, sizeof(*network->touching));
   if (network->touching == NULL)
     return MO_ERR_NO_MEMORY;
   for (uint64_t i = 0; i < n_bodies; i++) {

@@ -155,7 +155,7 @@ static bool open_file(struct mo_request *request, int *fd, struct stat *status)
 void mo_api_get_atlas_file(struct mo_request *request)
 {
   static const char *const types[] = {"application/octet-stream", NULL};
-  struct stat status;
+  struct stat status = {.st_size = 0};
   char tag[64];
   int fd = -1, form;
   if (!mo_accept(request, types, &form) || !open_file(request, &fd, &status))

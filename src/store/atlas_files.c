@@ -38,7 +38,7 @@ int mo_store_atlas_names(const struct mo_store *store, struct mo_atlas_name **re
   struct mo_atlas_name *names = NULL, name;
   uint32_t found = 0;
   int error = folder != NULL ? MO_OK : mo_open_error();
-  while (error == MO_OK && (entry = readdir(folder)) != NULL) {
+  while (folder != NULL && error == MO_OK && (entry = readdir(folder)) != NULL) {
     if (!read_name(entry->d_name, &name))
       continue;
     struct mo_atlas_name *grown = realloc(names, ((size_t)found + 1) * sizeof(*names));
