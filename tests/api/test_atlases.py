@@ -15,6 +15,7 @@ import pytest
 
 from atlases import INFINITY, Plain, file_of, write
 from ctl import ctl  # noqa: F401
+from service import await_end
 
 FILE = {"Content-Type": "application/octet-stream"}
 OF = "/v1/atlases/five"
@@ -381,6 +382,37 @@ def test_a_restart_keeps_them(start, tmp_path):
     service = start(state=state)
     assert service.get("/v1/atlases/kept") == before
     assert [path.name for path in (state / "atlases").iterdir()] == ["kept.atlas"]
+
+
+def test_a_built_one(service):
+    """An atlas of a task that a job builds: its scores are those of an evaluation, and losses have
+    the unit of the task."""
+    settings = {"physics": {"n_steps": 50}, "environments": "morpho-12-walk"}
+    job = service.post("/v1/atlases", {"name": "built", "voxels": 2,
+                                       "orientations": "canonical", **settings})["id"]
+    assert await_end(service, f"/v1/jobs/{job}").json()["state"] == "succeeded"
+    for body in service.get("/v1/atlases/built/best")["items"]:
+        shown = service.get(f"/v1/atlases/built/body?design={body['id']}")
+        designs = [{"id": body["id"] + "@0"}]
+        result = service.evaluate({"designs": designs, **settings}).json()["results"][0]
+        assert math.isclose(shown["score"], result["score"], rel_tol=1e-6)
+        assert shown["unit"] == result["unit"]
+        assert math.isclose(shown["value"], result["value"], rel_tol=1e-2, abs_tol=1e-3)
+        for loss, exact in zip(shown["losses"], result["losses"]):
+            assert math.isclose(loss["loss"], exact["loss"], rel_tol=2**-11)
+    assert put(service, "built", file_of()).status == 200  # the job has ended
+    assert service.request("DELETE", "/v1/atlases/built").status == 204
+
+
+def test_a_name_that_a_job_builds(service):
+    job = service.post("/v1/atlases", {"name": "busy", "voxels": 9})["id"]
+    reply = put(service, "busy", file_of())
+    assert reply.status == 409 and f"job {job}" in reply.json()["detail"]
+    service.refuses("/v1/atlases/busy", "", "/file", status=404)
+    service.withdraw(job)
+    await_end(service, f"/v1/jobs/{job}")
+    assert put(service, "busy", file_of()).status == 201
+    assert service.request("DELETE", "/v1/atlases/busy").status == 204
 
 
 def memory(service):
