@@ -7,7 +7,8 @@
 #include <math.h>
 
 #define ENVIRONMENTS 3
-#define PATH_MAX_BODIES 64
+#define PATH_MOST    64
+#define MANY         4096 /* bodies; of more, their neighbors are left out */
 
 static const unsigned STEPS[] = {MO_ATLAS_ADD, MO_ATLAS_REMOVE, MO_ATLAS_GROW_SHRINK,
                                  MO_ATLAS_GROW_SHRINK | MO_ATLAS_MOVE};
@@ -70,7 +71,7 @@ static void print_rank(const char *name, struct mo_atlas_rank rank)
 static void print_neighbors(const struct mo_atlas *atlas, uint64_t position)
 {
   struct mo_atlas_neighbor neighbors[MO_ATLAS_NEIGHBORS_MAX];
-  uint64_t path[PATH_MAX_BODIES], optimum;
+  uint64_t path[PATH_MOST], optimum;
   printf(", \"neighbors\": [");
   for (size_t s = 0; s < sizeof(STEPS) / sizeof(*STEPS); s++) {
     const uint32_t n = mo_atlas_neighbors(atlas, position, STEPS[s], neighbors);
@@ -85,9 +86,9 @@ static void print_neighbors(const struct mo_atlas *atlas, uint64_t position)
   printf("], \"paths\": [");
   for (size_t s = 0; s < sizeof(STEPS) / sizeof(*STEPS); s++) {
     const uint64_t n =
-        mo_atlas_ascend(atlas, position, STEPS[s], path, PATH_MAX_BODIES, &optimum);
+        mo_atlas_ascend(atlas, position, STEPS[s], path, PATH_MOST, &optimum);
     printf("%s[", s > 0 ? ", " : "");
-    for (uint64_t i = 0; i < n && i < PATH_MAX_BODIES; i++)
+    for (uint64_t i = 0; i < n && i < PATH_MOST; i++)
       printf("%s%llu", i > 0 ? ", " : "", (unsigned long long)path[i]);
     printf("]");
   }
@@ -128,7 +129,8 @@ static void print_body(const struct mo_atlas *atlas, const struct mo_atlas_index
          (unsigned long long)mo_atlas_nth(index, 0, position),
          (unsigned long long)mo_atlas_optimum_of(basins, position),
          (unsigned long long)mo_atlas_basin_of(basins, position));
-  print_neighbors(atlas, position);
+  if (mo_atlas_bodies_of(atlas) <= MANY)
+    print_neighbors(atlas, position);
   printf("}\n");
 }
 
