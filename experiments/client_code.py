@@ -1,5 +1,5 @@
-"""The Python client in the source tree, for programs that need no build: its part without asyncio is
-generated."""
+"""The Python client in the source tree, for programs that need no build: its part without asyncio
+is generated."""
 import runpy
 from pathlib import Path
 

@@ -32,7 +32,8 @@ def rows_of(atlas, found):
         yield "– without the mean of the size", f"{found.within_sizes[k]:.3f}"
     yield "correlation length, steps", f"{found.correlation_length:.2f}"
     yield "local optima", f"{found.optima:,} ({percent(found.optima / found.bodies)})"
-    yield "basin of the best body", f"{found.best_basin:,} ({percent(found.best_basin / found.bodies)})"
+    yield ("basin of the best body",
+           f"{found.best_basin:,} ({percent(found.best_basin / found.bodies)})")
     yield "median basin, bodies", f"{found.median_basin:g}"
     yield "steps of a steepest ascent, mean", f"{found.ascent_steps:.2f}"
     yield "regret of its end, median", f"{found.ascent_regret:.4f}"

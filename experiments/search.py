@@ -35,7 +35,7 @@ SHOWN = (100, 300, 1000, 3000, 10000, 30000, 100000)
 
 def hill_climbing(*steps):
     """Looks at the neighbors of a body in random order and goes to the first better one; starts
-    again from a random body when there is none."""
+    again from a random body if all are worse."""
     def search(problem, seed, budget):
         rng = np.random.default_rng(seed)
         atlas = problem.atlas
@@ -64,12 +64,12 @@ def random_search(problem, seed, budget):
 # ---- by the packages: vectors of numbers, from which problem.decode grows bodies ----
 
 
-def with_ribs(problem, budget, emitters_of):
+def with_ribs(problem, seed, budget, emitters_of):
     from ribs.archives import GridArchive
     from ribs.schedulers import Scheduler
     most = problem.atlas.voxels_max
     archive = GridArchive(solution_dim=problem.dimensions, dims=[most, most],
-                          ranges=[(0.5, most + 0.5)] * 2)
+                          ranges=[(0.5, most + 0.5)] * 2, seed=seed)
     scheduler = Scheduler(archive, emitters_of(archive))
     while problem.evaluations < budget:
         bodies = [problem.decode(values) for values in scheduler.ask()]
@@ -84,13 +84,13 @@ def with_ribs(problem, budget, emitters_of):
 def map_elites(problem, seed, budget):
     from ribs.emitters import GaussianEmitter
     initial = np.random.default_rng(seed).normal(size=(32, problem.dimensions))
-    with_ribs(problem, budget, lambda archive: [
+    with_ribs(problem, seed, budget, lambda archive: [
         GaussianEmitter(archive, sigma=0.5, initial_solutions=initial, batch_size=32, seed=seed)])
 
 
 def cma_me(problem, seed, budget):
     from ribs.emitters import EvolutionStrategyEmitter
-    with_ribs(problem, budget, lambda archive: [
+    with_ribs(problem, seed, budget, lambda archive: [
         EvolutionStrategyEmitter(archive, x0=np.zeros(problem.dimensions), sigma0=1.0,
                                  ranker="2imp", batch_size=16, seed=2 * seed + k)
         for k in range(2)])
@@ -207,7 +207,7 @@ def figure(path, rows, methods, budget, caption):
                                           if row["method"] == method]))) for n in at]
               for method in ran}
     drawn = [regret for curve in curves.values() for _, regret in curve if regret > 0]
-    chart = charts.Chart(860, 470)
+    chart = charts.Chart(920, 470)
     panel = charts.Panel(chart, 70, 60, 560, 400, charts.Scale(10, budget, log=True),
                          charts.Scale(*charts.decades(drawn), log=True))
     panel.title(caption)
@@ -217,6 +217,29 @@ def figure(path, rows, methods, budget, caption):
         panel.line([(n, regret) for n, regret in curves[method] if regret > 0], color)
         chart.legend(585, 80 + 24 * i, [(METHODS[method][0], color, "")])
     chart.save(path)
+
+
+def speed(atlas, rounds=5, n=5000):
+    """Returns a line with the least time of some rounds for each call of a problem."""
+    from morphod.atlas import Problem
+    problem = Problem(atlas)
+    rng = np.random.default_rng(1)
+    texts = [problem.random(rng) for _ in range(n)]
+    bodies = np.array([[digit == "1" for digit in text] for text in texts])
+    bodies = bodies.reshape(n, *atlas.workspace)
+    vectors = [rng.normal(size=problem.dimensions) for _ in range(n)]
+    calls = {"a genotype": lambda: [problem.evaluate(text) for text in texts],
+             "a body of an array of 5000": lambda: problem.evaluate_all(bodies),
+             "growing a body from a vector": lambda: [problem.decode(values) for values in vectors]}
+    times = []
+    for name, call in calls.items():
+        least = math.inf
+        for _ in range(rounds):
+            began = time.perf_counter()
+            call()
+            least = min(least, time.perf_counter() - began)
+        times.append(f"{name} {1e6 * least / n:.1f} µs")
+    return "loss of " + ", ".join(times)
 
 
 def parser_of():
@@ -233,7 +256,10 @@ def parser_of():
                         help="fewer evaluations of slow methods, as tpe=300,nevergrad=500")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(),
                         help="runs at a time (default: one per processor)")
-    parser.add_argument("--csv", type=Path, help="regrets of all runs at 1, 2, 5, 10, … evaluations")
+    parser.add_argument("--speed", action="store_true",
+                        help="only measure how long a problem takes to answer")
+    parser.add_argument("--csv", type=Path, 
+                        help="regrets of all runs at 1, 2, 5, 10, … evaluations")
     parser.add_argument("--svg", type=Path, help="a chart of the mean regrets")
     return parser
 
@@ -247,6 +273,9 @@ def main():
                      "at least 10 evaluations and one seed")
     from morphod.atlas import Atlas
     atlas = Atlas.open(arguments.atlas, check=True)
+    if arguments.speed:
+        print(speed(atlas))
+        return 0
     tasks = [(arguments.atlas, method, seed,
               min(arguments.evaluations, arguments.limits.get(method, arguments.evaluations)))
              for method in arguments.methods if not missing(method)

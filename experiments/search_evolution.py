@@ -53,6 +53,13 @@ class Evolution:
         self.all_cells = [(x, y, z) for x in range(nx) for y in range(ny) for z in range(nz)]
         self.seen = set()
 
+    def genotype(self, body):
+        _, ny, nz = self.atlas.workspace
+        digits = bytearray(b"0" * len(self.all_cells))
+        for x, y, z in body:
+            digits[(x * ny + y) * nz + z] = ord("1")
+        return digits.decode()
+
     def new(self, cells):
         """Returns the body of the largest piece, placed; None if it is empty, too large or was
         seen."""
@@ -61,7 +68,7 @@ class Evolution:
             return None
         body = placed(piece, self.atlas.workspace)
         try:
-            position = self.atlas.find(list(body))
+            position = self.atlas.find(self.genotype(body))
         except OutsideError:
             return None
         if position in self.seen:
@@ -102,7 +109,7 @@ class Evolution:
     def score(self, bodies):
         """Returns (loss, body) of the bodies within the budget."""
         bodies = bodies[:self.budget - self.problem.evaluations]
-        return [(self.problem.evaluate(list(body)), body) for body in bodies]
+        return [(self.problem.evaluate(self.genotype(body)), body) for body in bodies]
 
     def run(self):
         initial = []

@@ -37,7 +37,7 @@ class Epistasis:
 @dataclasses.dataclass(frozen=True)
 class SizeStatistics:
     """`optima` counts local optima of this size. `no_growth`: share of the bodies that no added
-    voxel improves. `grown`: whether the best body is the best of one voxel less with one more.
+    voxel improves; NaN for the most voxels. `grown`: whether the best body is the best of one voxel less with one more.
     `ends_at`: the score at which the steepest ascent from the best body ends."""
 
     voxels: int
@@ -170,7 +170,8 @@ def _of_size(atlas: Atlas, voxels: int, scores: NDArray[np.float64],
         best=float(scores[best]),
         median=float(np.median(scores[here][finite])) if finite.any() else math.inf,
         optima=int(basins.is_optimum[here].sum()),
-        no_growth=_share((by_adding[here] >= scores[here])[finite]),
+        no_growth=(_share((by_adding[here] >= scores[here])[finite])
+                   if voxels < atlas.voxels_max else math.nan),
         grown=grown, ends_at=float(scores[basins.optimum[best]]))
 
 
