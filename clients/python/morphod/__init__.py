@@ -7,12 +7,14 @@
 `AsyncClient` is the same for asyncio.
 """
 
+from ._async.atlases import AsyncAtlasBuild, AsyncStoredAtlas
 from ._async.client import AsyncClient, AsyncObjective
 from ._async.fleet import AsyncFleet
 from ._async.evaluations import AsyncEvaluation
 from ._async.handles import AsyncCampaign, AsyncCampaigns, AsyncTraining
 from ._async.jobs import AsyncJob
 from ._async.studies import AsyncStudy, AsyncStudyObjective
+from ._sync.atlases import AtlasBuild, StoredAtlas
 from ._sync.client import Client, Objective
 from ._sync.evaluations import Evaluation
 from ._sync.fleet import Fleet
@@ -37,13 +39,13 @@ from .worlds import World, read_world
 __version__ = "0.1.0"
 
 __all__ = [
-    "WORKSPACE", "AccessError", "ApiError", "Asked", "AsyncCampaign", "AsyncCampaigns",
-    "AsyncClient", "AsyncEvaluation", "AsyncFleet", "AsyncJob", "AsyncObjective", "AsyncStudy",
-    "AsyncStudyObjective", "AsyncTraining", "Batch", "Body", "BodyError", "BusyError", "Campaign",
-    "CampaignComparison", "Campaigns", "Client", "Climb", "ConflictError", "Controller",
-    "ControllerComparison", "Entered", "Evaluation", "Fleet", "InvalidError", "Job", "JobError",
-    "LocalClient", "MorphodError", "NotFoundError", "Objective", "Phylogeny", "Player", "Result",
-    "Rollout", "Scene", "ScoreError", "Study", "StudyObjective", "Svg", "Task", "Training",
-    "UnreachableError", "WaitError", "World", "local", "read_bodies", "read_safetensors",
-    "read_world", "write_safetensors",
+    "WORKSPACE", "AccessError", "ApiError", "Asked", "AsyncAtlasBuild", "AsyncCampaign",
+    "AsyncCampaigns", "AsyncClient", "AsyncEvaluation", "AsyncFleet", "AsyncJob", "AsyncObjective",
+    "AsyncStoredAtlas", "AsyncStudy", "AsyncStudyObjective", "AsyncTraining", "AtlasBuild", "Batch",
+    "Body", "BodyError", "BusyError", "Campaign", "CampaignComparison", "Campaigns", "Client",
+    "Climb", "ConflictError", "Controller", "ControllerComparison", "Entered", "Evaluation",
+    "Fleet", "InvalidError", "Job", "JobError", "LocalClient", "MorphodError", "NotFoundError",
+    "Objective", "Phylogeny", "Player", "Result", "Rollout", "Scene", "ScoreError", "StoredAtlas",
+    "Study", "StudyObjective", "Svg", "Task", "Training", "UnreachableError", "WaitError", "World",
+    "local", "read_bodies", "read_safetensors", "read_world", "write_safetensors",
 ]

@@ -1,0 +1,89 @@
+"""Atlases of the service by the client, compared with the file."""
+
+import asyncio
+import math
+
+import morphod
+import morphod.atlas
+import numpy as np
+import pytest
+from test_atlas import made
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return made(tmp_path_factory.mktemp("atlas"), 6, 6, 4, 4, 40)[0]
+
+
+@pytest.fixture
+def stored(m, path):
+    atlas = m.put_atlas("invented", path)
+    yield atlas
+    atlas.delete()
+
+
+def number(score):
+    return math.inf if score is None else score
+
+
+def test_put_list_open_delete(m, path, tmp_path):
+    put = m.put_atlas("mine", path)
+    assert put.name == "mine" and m.atlas("mine").data["bodies"] == 29 and "mine" in repr(put)
+    assert "mine" in list(m.atlases()["name"])
+    opened = put.open(tmp_path / "copy.atlas")
+    assert (tmp_path / "copy.atlas").read_bytes() == path.read_bytes() and len(opened) == 29
+    put.refresh()
+    put.delete()
+    with pytest.raises(morphod.NotFoundError):
+        m.atlas("mine")
+    (tmp_path / "bad.atlas").write_bytes(path.read_bytes()[:-8])
+    with pytest.raises(morphod.ApiError):
+        m.put_atlas("mine", tmp_path / "bad.atlas")
+
+
+def test_queries_are_those_of_the_file(stored, path):
+    atlas = morphod.atlas.Atlas.open(path)
+    for position in (0, 5, 20, 28):
+        body = stored.body(position)
+        assert body["id"] == atlas.id(position) and body["position"] == position
+        assert number(body["score"]) == pytest.approx(atlas.score(position))
+        assert body["rank"] == atlas.rank(position).rank
+        for given in (body["id"], body["genotype"], atlas.body(position), np.int64(position)):
+            assert stored.body(given)["position"] == position
+        for steps in (("add", ), ("add", "remove", "move")):
+            assert [(one["position"], one["step"]) for one in stored.neighbors(position, steps)
+                    ] == [(one.position, one.step) for one in atlas.neighbors(position, steps)]
+            assert [one["position"] for one in stored.ascent(position, steps)] == atlas.ascend(
+                position, steps)
+        near = {one.position for one in atlas.neighbors(position)}
+        assert near <= {one["position"] for one in stored.similar(position, limit=1000)}
+    assert [one["position"] for one in stored.best(5, voxels=4)] == atlas.best(5, 4).tolist()
+    assert stored.body(3, steps="add", changes=1)["best_changes"]
+    assert stored.optima()["optima"] == len(atlas.optima())
+    assert {row["footprint"]: (row["bodies"], row["best"]["position"])
+            for row in stored.footprints()} == atlas.footprints()
+    histogram = stored.histogram(8, 4)
+    assert sum(histogram["counts"][0 if len(histogram["counts"]) == 1 else 3]) <= atlas.sizes[4]
+    assert stored.compare(stored)["kendall_tau"] == pytest.approx(1)
+
+
+def test_build(m, path):
+    job = m.build_atlas(2, orientations="canonical", name="tiny", physics={"n_steps": 20})
+    assert job.live() is job and job.state == "succeeded"
+    atlas = job.atlas()
+    assert atlas.name == "tiny" and atlas.data["bodies"] == 3
+    scores = m.evaluate([body["genotype"] for body in atlas.best(3)],
+                        physics={"n_steps": 20}).scores
+    assert [body["score"] for body in atlas.best(3)] == pytest.approx(scores.tolist(), rel=1e-6)
+    atlas.delete()
+
+
+def test_for_asyncio(service, path):
+    async def use():
+        async with morphod.AsyncClient(f"http://{service.host}:{service.port}") as client:
+            atlas = await client.put_atlas("async", path)
+            best = await atlas.best(1)
+            await atlas.delete()
+            return best
+
+    assert len(asyncio.run(use())) == 1
