@@ -5,12 +5,9 @@ import math
 import sys
 from pathlib import Path
 
-SOURCE = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(SOURCE / "clients" / "python"))
+import client_code
 
-from client_code import generate
-
-generate()
+client_code.prepare()
 
 from morphod.atlas import Atlas, landscape
 

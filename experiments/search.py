@@ -15,17 +15,16 @@ import time
 import warnings
 from pathlib import Path
 
-SOURCE = Path(__file__).resolve().parents[1]
-CLIENT = SOURCE / "clients" / "python"
-sys.path.insert(0, str(CLIENT))
+import client_code
+
+if __name__ == "__main__":
+    client_code.prepare()
+else:  # a process of the pool
+    sys.path.insert(0, str(client_code.CLIENT))
 
 import charts
 import records
 import numpy as np
-from client_code import generate
-
-if __name__ == "__main__":
-    generate()
 
 from search_evolution import paper_ga
 
@@ -219,9 +218,19 @@ def figure(path, rows, methods, budget, caption):
     chart.save(path)
 
 
-def speed(atlas, rounds=5, n=5000):
-    """Returns a line with the least time of some rounds for each call of a problem."""
-    from morphod.atlas import Problem
+def speed(path, rounds=5, n=5000):
+    """Yields lines: the times of what is computed once, and the least time of some rounds for each
+    call of a problem."""
+    from morphod.atlas import Atlas, Problem
+    began = time.perf_counter()
+    atlas = Atlas.open(path)
+    once = []
+    for name, call in (("opening", lambda: atlas), ("ranks", atlas.order),
+                       ("basins", atlas.basins)):
+        call()
+        once.append(f"{name} {time.perf_counter() - began:.2f} s")
+        began = time.perf_counter()
+    yield f"{len(atlas):,} bodies, computed once: " + ", ".join(once)
     problem = Problem(atlas)
     rng = np.random.default_rng(1)
     texts = [problem.random(rng) for _ in range(n)]
@@ -239,7 +248,7 @@ def speed(atlas, rounds=5, n=5000):
             call()
             least = min(least, time.perf_counter() - began)
         times.append(f"{name} {1e6 * least / n:.1f} µs")
-    return "loss of " + ", ".join(times)
+    yield "loss of " + ", ".join(times)
 
 
 def parser_of():
@@ -274,7 +283,7 @@ def main():
     from morphod.atlas import Atlas
     atlas = Atlas.open(arguments.atlas, check=True)
     if arguments.speed:
-        print(speed(atlas))
+        print("\n".join(speed(arguments.atlas)))
         return 0
     tasks = [(arguments.atlas, method, seed,
               min(arguments.evaluations, arguments.limits.get(method, arguments.evaluations)))

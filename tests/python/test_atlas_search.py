@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 import subprocess
 import sys
 
@@ -296,6 +297,22 @@ def test_bench_search(path, tmp_path):
         import ribs  # noqa: F401
     except ImportError:
         assert table[6][1] == "not run: no package ribs"
+
+
+def test_examples_of_the_documents(tmp_path, monkeypatch):
+    subprocess.run([ANSWERS, tmp_path / "walk-7.atlas", "6", "6", "4", "6", "1000"], check=True,
+                   capture_output=True)
+    monkeypatch.chdir(tmp_path)
+    for page in ("docs/atlas.md", "docs/search.md", "clients/python/README.md"):
+        examples = re.findall(r"```python\n(.*?)```", (SOURCE / page).read_text(), re.DOTALL)
+        assert len(examples) == 1
+        for example in examples:
+            exec(compile(example, page, "exec"), {"np": np})  # noqa: S102
+
+
+def test_bench_speed(path):
+    once, each = bench("experiments/search.py", path, "--speed").splitlines()
+    assert once.startswith("124 bodies, computed once: opening ") and "loss of a genotype " in each
 
 
 def test_bench_landscape(path):

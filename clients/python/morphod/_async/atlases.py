@@ -42,6 +42,7 @@ class AsyncStoredAtlas:
     @property
     @reading()
     def name(self) -> str:
+        """Its name in the service."""
         return str(self.data["name"])
 
     @reading()

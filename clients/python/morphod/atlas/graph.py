@@ -1,5 +1,5 @@
-"""All bodies of an atlas as a graph: neighbors by adding and removing a voxel, and the basins of its
-local optima."""
+"""All bodies of an atlas as a graph: neighbors by adding and removing a voxel, and the basins of
+its local optima."""
 
 from __future__ import annotations
 

@@ -37,8 +37,9 @@ class Epistasis:
 @dataclasses.dataclass(frozen=True)
 class SizeStatistics:
     """`optima` counts local optima of this size. `no_growth`: share of the bodies that no added
-    voxel improves; NaN for the most voxels. `grown`: whether the best body is the best of one voxel less with one more.
-    `ends_at`: the score at which the steepest ascent from the best body ends."""
+    voxel improves; NaN for the most voxels. `grown`: whether the best body is the best of one voxel
+    less, with one added. `ends_at`: the score at which the steepest ascent from the best body
+    ends."""
 
     voxels: int
     bodies: int
@@ -110,7 +111,8 @@ def landscape(atlas: Atlas, *, tolerance: float = 0.001, sample: int = 20000,
         median_basin=float(np.median(basins.size[basins.is_optimum])),
         ascent_steps=float(basins.steps[finite].mean()),
         ascent_regret=float(np.median(ends) - scores[best]),
-        shrinks=_share(shrinks[below]), epistasis=_epistasis(atlas, scores, tolerance, sample, seed),
+        shrinks=_share(shrinks[below]),
+        epistasis=_epistasis(atlas, scores, tolerance, sample, seed),
         sizes=tuple(_of_size(atlas, n, scores, by_adding) for n in atlas.sizes if atlas.sizes[n]))
 
 
