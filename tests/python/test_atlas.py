@@ -114,6 +114,19 @@ def test_neighbors_and_ascents(answers):
             assert best is None or best.position == path[1]
 
 
+def test_similar(answers):
+    atlas, _, bodies = answers
+    near = [{to for to, _, _ in body["neighbors"][2]} for body in bodies]
+    for at in range(0, len(bodies), 7):
+        second = {to for one in near[at] for to in near[one]} - near[at] - {at}
+        found = atlas.similar(at)
+        assert {body.position for body in found if body.distance == 1} == near[at]
+        assert {body.position for body in found if body.distance == 2} == second
+        assert len(found) == len(near[at]) + len(second)
+        order = [(body.score, body.position) for body in found]
+        assert order == sorted(order) and all(score == atlas.score(to) for score, to in order)
+
+
 def test_basins(answers):
     atlas, _, bodies = answers
     basins = atlas.basins()

@@ -85,8 +85,7 @@ static void print_neighbors(const struct mo_atlas *atlas, uint64_t position)
   }
   printf("], \"paths\": [");
   for (size_t s = 0; s < sizeof(STEPS) / sizeof(*STEPS); s++) {
-    const uint64_t n =
-        mo_atlas_ascend(atlas, position, STEPS[s], path, PATH_MOST, &optimum);
+    const uint64_t n = mo_atlas_ascend(atlas, position, STEPS[s], path, PATH_MOST, &optimum);
     printf("%s[", s > 0 ? ", " : "");
     for (uint64_t i = 0; i < n && i < PATH_MOST; i++)
       printf("%s%llu", i > 0 ? ", " : "", (unsigned long long)path[i]);

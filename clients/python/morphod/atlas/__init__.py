@@ -9,10 +9,10 @@ from .landscapes import Epistasis, Landscape, SizeStatistics, landscape
 from .layout import AtlasError, Block, Head
 from .pairs import Comparison, kendall_tau
 from .problem import BudgetError, Measures, Outside, Problem
-from .reader import GROW_SHRINK, Atlas, Neighbor, OutsideError, Rank, Where
+from .reader import GROW_SHRINK, Atlas, Neighbor, OutsideError, Rank, Similar, Where
 
 __all__ = [
     "GROW_SHRINK", "Atlas", "AtlasError", "Basins", "Block", "BudgetError", "Comparison",
     "Epistasis", "Head", "Landscape", "Measures", "Neighbor", "Outside", "OutsideError", "Problem",
-    "Rank", "SizeStatistics", "Steps", "Where", "kendall_tau", "landscape",
+    "Rank", "Similar", "SizeStatistics", "Steps", "Where", "kendall_tau", "landscape",
 ]

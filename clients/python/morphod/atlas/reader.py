@@ -53,6 +53,15 @@ class Neighbor:
 
 
 @dataclasses.dataclass(frozen=True)
+class Similar:
+    """A body that `distance` steps of adding or removing a voxel make of another: 1 or 2."""
+
+    position: int
+    score: float
+    distance: int
+
+
+@dataclasses.dataclass(frozen=True)
 class Rank:
     """How many bodies have a lower (`better`), an equal (others) and a higher score (`worse`)."""
 
@@ -415,6 +424,20 @@ class Atlas:
         while (step := self.best_step(path[-1], wanted)) is not None:
             path.append(step.position)
         return path
+
+    def similar(self, where: Where) -> list[Similar]:
+        """Lists the bodies within two steps of adding or removing a voxel, the best first. A moved
+        voxel is two steps."""
+        position = self.position(where)
+        found = {position: 0}
+        edge = [position]
+        for distance in (1, 2):
+            edge = [near.position for at in edge for near in self.neighbors(at)]
+            for at in edge:
+                found.setdefault(at, distance)
+        similar = [Similar(at, self.score(at), distance) for at, distance in found.items()
+                   if distance]
+        return sorted(similar, key=lambda body: (body.score, body.position))
 
     def steps(self) -> Steps:
         """All pairs of neighbors by adding and removing a voxel."""
