@@ -1,6 +1,7 @@
-"""Statistics of the landscapes of atlas files, side by side, as Markdown. docs/search.md defines
-them."""
+"""Statistics of the landscapes of atlas files, side by side, as Markdown; and Kendall's τ of each
+two. docs/search.md defines them."""
 import argparse
+import itertools
 import math
 import sys
 from pathlib import Path
@@ -68,9 +69,9 @@ def main():
     parser.add_argument("--sample", type=int, default=20000,
                         help="bodies whose pairs of voxels are examined (default 20000)")
     arguments = parser.parse_args()
+    atlases = [Atlas.open(path, check=True) for path in arguments.atlas]
     columns, sizes = [], []
-    for path in arguments.atlas:
-        atlas = Atlas.open(path, check=True)
+    for path, atlas in zip(arguments.atlas, atlases):
         found = landscape(atlas, tolerance=arguments.tolerance, sample=arguments.sample)
         columns.append((Path(path).stem, list(rows_of(atlas, found))))
         sizes.append((Path(path).stem, found))
@@ -78,6 +79,12 @@ def main():
     for name, found in sizes:
         print(f"\n{name}:\n")
         print("\n".join(sizes_of(found)))
+    print()
+    for one, other in itertools.combinations(atlases, 2):
+        if one.workspace == other.workspace:
+            found = one.compare(other)
+            print(f"{Path(one.path).stem} and {Path(other.path).stem}: Kendall's τ {found.tau:.3f} "
+                  f"of {found.bodies:,} bodies")
     return 0
 
 
