@@ -33,7 +33,7 @@ def made(folder, *scope):
 
 
 @pytest.fixture(scope="module", params=[(6, 6, 4, 5, 1000003), (6, 6, 4, 5, 4), (3, 5, 2, 6, 40),
-                                        (4, 2, 3, 6, 40)],
+                                        (4, 2, 3, 6, 40), (1, 2, 1, 4, 40)],
                 ids=lambda scope: "-".join(map(str, scope)))
 def answers(request, tmp_path_factory):
     """An atlas and what the library says about it: with and without many equal scores, and in

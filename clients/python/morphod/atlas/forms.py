@@ -161,8 +161,10 @@ class Space:
     def cells_of(self, keys: NDArray[np.uint64], n: int) -> NDArray[np.int16]:
         """Returns the cells (bodies, n, 3) of keys."""
         _, ny, nz = self.workspace
-        later = np.uint64(self.sets[n] - 1) - keys
         cells = np.empty((len(keys), n, 3), dtype=np.int16)
+        if not len(keys):  # the workspace may be too small for n voxels
+            return cells
+        later = np.uint64(self.sets[n] - 1) - keys
         for i, terms in enumerate(self._later_arrays[n]):
             # Ascending: the last that is not above.
             from_end = np.searchsorted(terms[::-1], later, side="right") - 1

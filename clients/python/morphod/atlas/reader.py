@@ -195,7 +195,7 @@ class Atlas:
         """Returns the positions of bodies (bodies, n, 3) of n cells anywhere; −1 for those that are
         not in the atlas."""
         n = cells.shape[1]
-        if not 1 <= n <= self.voxels_max:
+        if not 1 <= n <= self.voxels_max or not self.sizes[n]:
             return np.full(len(cells), -1, dtype=np.int64)
         keys, fits = self._space.keys_of(cells)
         known = self.keys(n)
