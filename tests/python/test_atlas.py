@@ -19,7 +19,7 @@ from morphod.atlas import (
 )
 
 ANSWERS = (pathlib.Path(__file__).resolve().parents[2] / "build" / "tests" / "unit" / "atlas" /
-           "atlas-answers")
+           "atlas-all-answers")
 STEPS = [("add", ), ("remove", ), GROW_SHRINK, ("add", "remove", "move")]
 WORDS = {1: "add", 2: "remove", 4: "move"}
 

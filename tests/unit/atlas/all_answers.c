@@ -1,7 +1,7 @@
-/* answers.c: writes an atlas file with invented losses, and prints what the library answers about
- * every body of it, as lines of JSON: for tests of other readers of the same file.
+/* all_answers.c: writes an atlas file with invented losses, and prints what the library answers
+ * about every body of it, as lines of JSON: for tests of other readers of the same file.
  *
- * usage: atlas-answers PATH NX NY NZ VOXELS LEVELS; LEVELS as for fixture_loss. */
+ * usage: atlas-all-answers PATH NX NY NZ VOXELS LEVELS; LEVELS as for fixture_loss. */
 #include "fixture.h"
 
 #include <math.h>
@@ -15,7 +15,7 @@ static const unsigned STEPS[] = {MO_ATLAS_ADD, MO_ATLAS_REMOVE, MO_ATLAS_GROW_SH
 
 static void fail(const char *what, int error)
 {
-  fprintf(stderr, "atlas-answers: %s: %s\n", what, mo_error_text(error));
+  fprintf(stderr, "atlas-all-answers: %s: %s\n", what, mo_error_text(error));
   exit(1);
 }
 
@@ -169,7 +169,7 @@ int main(int argc, char **argv)
   struct mo_atlas *atlas = NULL;
   struct mo_message message = {""};
   if (argc != 7) {
-    fprintf(stderr, "usage: atlas-answers PATH NX NY NZ VOXELS LEVELS\n");
+    fprintf(stderr, "usage: atlas-all-answers PATH NX NY NZ VOXELS LEVELS\n");
     return 1;
   }
   struct mo_atlas_source source = fixture_source((uint32_t)strtoul(argv[5], NULL, 10));
