@@ -63,6 +63,16 @@ def random_search(problem, seed, budget):
 # ---- by the packages: vectors of numbers, from which problem.decode grows bodies ----
 
 
+def finite_loss(problem, body):
+    """Evaluates a body. The packages refuse the infinite loss of one that diverged: they get the
+    worst finite loss of the atlas instead."""
+    loss = problem.evaluate(body)
+    if math.isfinite(loss):
+        return loss
+    scores = problem.atlas.scores()
+    return float(scores[np.isfinite(scores)].max())
+
+
 def with_ribs(problem, seed, budget, emitters_of):
     from ribs.archives import GridArchive
     from ribs.schedulers import Scheduler
@@ -73,7 +83,7 @@ def with_ribs(problem, seed, budget, emitters_of):
     while problem.evaluations < budget:
         bodies = [problem.decode(values) for values in scheduler.ask()]
         bodies_left = bodies[:budget - problem.evaluations]
-        losses = [problem.evaluate(body) for body in bodies_left]
+        losses = [finite_loss(problem, body) for body in bodies_left]
         if len(losses) < len(bodies):
             return
         measures = [problem.measures(body)[:2] for body in bodies]
@@ -105,7 +115,7 @@ def by_nevergrad(problem, seed, budget):
         warnings.simplefilter("ignore")
         for _ in range(budget):
             candidate = optimizer.ask()
-            optimizer.tell(candidate, problem.evaluate(problem.decode(candidate.value)))
+            optimizer.tell(candidate, finite_loss(problem, problem.decode(candidate.value)))
 
 
 def by_optuna(problem, seed, budget):
@@ -113,7 +123,7 @@ def by_optuna(problem, seed, budget):
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed))
     names = [f"v{voxel}" for voxel in range(problem.dimensions)]
-    study.optimize(lambda trial: problem.evaluate(problem.decode(
+    study.optimize(lambda trial: finite_loss(problem, problem.decode(
         [trial.suggest_float(name, -2, 2) for name in names])), n_trials=budget)
 
 
