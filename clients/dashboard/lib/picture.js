@@ -20,8 +20,9 @@ const SIDES = [
 /**
  * @param {string} genotype
  * @param {string} [label] read by screen readers; without a label the drawing is decoration
+ * @param {Set<string>} [marked] cells as "x,y,z" in another color
  */
-export function picture(genotype, label) {
+export function picture(genotype, label, marked) {
   // Painter's algorithm: back to front.
   const cells = cellsOf(genotype).sort((a, b) => a[0] + a[1] + a[2] - (b[0] + b[1] + b[2]));
   const paths = [];
@@ -37,7 +38,8 @@ export function picture(genotype, label) {
         }
       }
       const d = `M${points.map((p) => p.map((v) => v.toFixed(2)).join(' ')).join('L')}Z`;
-      paths.push(svg('path', { class: name, d, 'vector-effect': 'non-scaling-stroke' }));
+      const mark = marked?.has(`${x},${y},${z}`) ? ' marked' : '';
+      paths.push(svg('path', { class: name + mark, d, 'vector-effect': 'non-scaling-stroke' }));
     }
   }
   if (!cells.length) [low[0], low[1], high[0], high[1]] = [0, 0, 1, 1];
