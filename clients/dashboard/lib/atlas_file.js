@@ -55,6 +55,8 @@ export class AtlasFile {
    */
   constructor(buffer, name) {
     this.name = name;
+    /** @type {Promise<any>|undefined} */
+    this.basinsLoad = undefined;
     const view = new DataView(buffer);
     const refuse = (why) => { throw new AtlasError(`${name} ${why}`); };
     const magic = buffer.byteLength >= HEAD
@@ -78,6 +80,7 @@ export class AtlasFile {
     const hex = (at) => [...new Uint8Array(buffer, at, 32)]
       .map((byte) => byte.toString(16).padStart(2, '0')).join('');
     this.controller = hex(136);
+    this.physics = hex(168);
     this.environments = [];
     for (let i = 0, at = HEAD; i < this.nEnvironments; i++) {
       this.environments.push({ task: taskOfPacked(view, at + 8, view.getUint32(at, true)) });
@@ -289,7 +292,7 @@ export class AtlasFile {
 
   /** Finds where the ascent of each body ends, once: {optima, bodies}, (n) each. */
   #basins() {
-    this.basins ??= (async () => {
+    this.basinsLoad ??= (async () => {
       const { n, scores } = this;
       const best = new Int32Array(n).fill(-1);
       const learn = (body, other) => {
@@ -316,7 +319,7 @@ export class AtlasFile {
       }
       return { optima: best, bodies };
     })();
-    return this.basins;
+    return this.basinsLoad;
   }
 
   // ---- ranks ----
@@ -352,7 +355,8 @@ export class AtlasFile {
     return {
       id: genotype.match(/.{4}/g).map((four) => parseInt(four, 2).toString(16)).join(''),
       voxels: this.sizeOf(position), genotype, position,
-      score: Number.isFinite(score) ? score : null, rank, percentile,
+      score: Number.isFinite(score) ? score : null, diverged: !Number.isFinite(score),
+      rank, percentile,
     };
   }
 
@@ -373,7 +377,7 @@ export class AtlasFile {
   async about() {
     return {
       name: this.name, voxels_max: this.voxelsMax, orientations: this.orientations,
-      controller_sha256: this.controller, environments: this.environments, bodies: this.n,
+      controller: this.controller, physics: this.physics, environments: this.environments, bodies: this.n,
       best: this.#bodyAt(this.sorted[0][0]),
       sizes: this.sorted.slice(1, this.voxelsMax + 1).map((sorted, i) => ({
         voxels: i + 1, bodies: sorted.length, best: this.#bodyAt(sorted[0]),
@@ -385,9 +389,7 @@ export class AtlasFile {
   async body(genotype, { changes = 8 } = {}) {
     const position = this.#find(genotype);
     const size = this.sizeOf(position);
-    const score = this.scores[position];
     const neighbors = this.neighborsOf(position, ['add', 'remove', 'move']);
-    const steepest = neighbors.find(({ step }) => step !== 'move');
     return {
       ...this.#bodyAt(position), of_size: this.#rankOf(position, size),
       losses: Array.from({ length: this.nEnvironments }, (_, e) => {
@@ -397,8 +399,12 @@ export class AtlasFile {
       best_of_size: this.#bodyAt(this.sorted[size][0]),
       best_changes: neighbors.slice(0, changes)
         .map((one) => ({ ...this.#bodyAt(one.position), step: one.step })),
-      is_optimum: !steepest || steepest.score >= score,
     };
+  }
+
+  /** Returns the body at a position. */
+  async at(position) {
+    return this.#bodyAt(position);
   }
 
   /** Returns the path of steepest ascent by adding and removing voxels. */
@@ -407,25 +413,27 @@ export class AtlasFile {
     return { items, bodies_on_path: items.length, optimum: items.at(-1) };
   }
 
-  /** Returns bodies of a size, or of all, the best first, without the first `offset`. */
-  async best({ voxels = 0, limit = 20, offset = 0 } = {}) {
-    return { items: [...this.sorted[voxels].subarray(offset, offset + limit)]
-      .map((position) => this.#bodyAt(position)) };
+  /** Returns the best bodies of a size, or of all, and counts them: those with lo ≤ score < hi. */
+  async best({ voxels = 0, lo = -Infinity, hi = NaN, limit = 100 } = {}) {
+    const from = this.#count(voxels, lo, false);
+    const end = Number.isNaN(hi) ? this.sorted[voxels].length : this.#count(voxels, hi, false);
+    return { bodies: Math.max(0, end - from),
+      items: [...this.sorted[voxels].subarray(from, Math.min(end, from + limit))]
+        .map((position) => this.#bodyAt(position)) };
   }
 
-  /** Counts the bodies of each size by score: counts[size − 1][bin]. */
-  async histogram({ bins = 64, lo, hi } = {}) {
+  /** Counts the bodies of each size by score: counts[size − 1][bin], edge i ≤ score < edge i + 1. */
+  async histogram({ bins = 64, lo = NaN, hi = NaN } = {}) {
     const all = this.sorted[0];
-    const from = lo ?? this.scores[all[0]];
+    const from = !Number.isNaN(lo) ? lo : this.scores[all[0]];
     let last = all.length - 1;
     while (last > 0 && !Number.isFinite(this.scores[all[last]])) last--;
-    const to = hi ?? this.scores[all[last]];
+    const to = !Number.isNaN(hi) ? hi : this.scores[all[last]];
     const edges = Array.from({ length: bins + 1 }, (_, i) => from + (to - from) * i / bins);
     edges[bins] = to;
     const sizes = Array.from({ length: this.voxelsMax }, (_, i) => i + 1);
     return { edges, sizes, counts: sizes.map((size) => {
-      // The last bin has its upper edge.
-      const below = edges.map((edge, i) => this.#count(size, edge, i === bins));
+      const below = edges.map((edge) => this.#count(size, edge, false));
       return below.slice(1).map((n, i) => n - below[i]);
     }) };
   }

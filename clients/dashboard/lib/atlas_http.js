@@ -2,6 +2,9 @@
 
 import { getJson, patient, withQuery } from './api.js';
 
+/** @type {any} */
+const NONE = {};
+
 export class AtlasHttp {
   /** @param {string} name */
   constructor(name) {
@@ -17,23 +20,31 @@ export class AtlasHttp {
     return this.#get('');
   }
 
-  body(design, { changes = 8, signal } = {}) {
-    return this.#get('/body', { design, changes }, signal);
+  body(design, { changes = 8, signal } = NONE) {
+    return this.#get('/body', { design, changes, steps: 'add,remove,move' }, signal);
   }
 
-  ascent(design, { signal } = {}) {
-    return this.#get('/ascent', { design, steps: 'add,remove' }, signal);
+  at(position, { signal } = NONE) {
+    return this.#get('/body', { position, changes: 0 }, signal);
   }
 
-  best({ voxels, limit = 20, offset = 0, signal } = {}) {
-    return this.#get('/best', { voxels: voxels || undefined, limit, offset }, signal);
+  ascent(design, { signal } = NONE) {
+    return this.#get('/ascent', { design }, signal);
   }
 
-  histogram({ bins = 64, lo, hi, signal } = {}) {
+  best({ voxels, lo, hi, limit = 100, signal } = NONE) {
+    return this.#get('/best', { voxels, lo, hi, limit }, signal);
+  }
+
+  histogram({ bins = 64, lo, hi, signal } = NONE) {
     return this.#get('/histogram', { bins, lo, hi }, signal);
   }
 
-  optima({ limit = 24, signal } = {}) {
+  optima({ limit = 24, signal } = NONE) {
     return this.#get('/optima', { limit }, signal);
+  }
+
+  compare(other, { bins = 64, signal } = NONE) {
+    return this.#get('/compare', { with: other, bins }, signal);
   }
 }

@@ -1,0 +1,256 @@
+/** The density map of an atlas: how many bodies of each size have which score. A drag, a click or
+ * the arrow keys select a range of scores of one size, and its bodies are shown. */
+
+import { fill, h, paint, patch, say } from '../lib/dom.js';
+import { count, countOf, score, voxels } from '../lib/format.js';
+import { ticks } from '../lib/chart.js';
+
+const BINS = 72;
+/** The service has equal bins; those of the map are equal on its logarithmic axis. */
+const FINE = 1024;
+const LEFT_PX = 74;
+const RIGHT_PX = 12;
+const TOP_PX = 8;
+const AXIS_PX = 34;
+const ROW_PX = 34;
+const SHOWN = 24;
+/** The axis is logarithmic if scores differ by more than this factor. */
+const LOG_FROM = 6;
+const LOG_TICKS = [1, 2, 5];
+
+export class AtlasMap {
+  /** @param {any} page of an atlas */
+  constructor(page) {
+    this.page = page;
+    const { sizes } = page.about;
+    this.rows = sizes.length;
+    this.canvas = h('canvas', {
+      tabindex: 0, role: 'application', 'aria-roledescription': 'density map',
+      'aria-label': 'Bodies by score and size. Up and down choose a size, left and right scores; ' +
+        'with Shift, a range grows. The bodies are listed below.',
+    });
+    this.canvas.style.height = `${TOP_PX + ROW_PX * this.rows + AXIS_PX}px`;
+    this.words = h('p.muted', { role: 'status' }, 'Click a place, or drag over some, to see the ' +
+      'bodies there.');
+    this.list = h('div.strip.wraps');
+    this.element = h('section.panel.stack', { 'aria-label': 'Map' }, h('div.row', {},
+      h('h2', {}, 'All bodies by score and size'), h('span.muted.legend', {}, h('span', {},
+        h('i.swatch.here'), 'your body'), h('span', {}, h('i.swatch.top'), 'best of its size'))),
+    this.canvas, this.words, this.list);
+    this.turn = 0;
+    this.resize = new ResizeObserver(() => this.#draw());
+    this.resize.observe(this.canvas);
+    this.onTheme = () => this.#draw();
+    page.app.themeListeners.add(this.onTheme);
+    const listen = (type, listener) => this.canvas.addEventListener(type, listener);
+    listen('pointerdown', (event) => this.#down(event));
+    listen('pointermove', (event) => this.#move(event));
+    for (const type of ['pointerup', 'pointercancel']) listen(type, () => { this.isHeld = false; });
+    listen('keydown', (event) => this.#key(event));
+    this.#load();
+  }
+
+  async #load() {
+    try {
+      this.#bin(await this.page.atlas.histogram({ bins: FINE }));
+      this.#draw();
+    } catch (error) {
+      say(this.words, error.message);
+    }
+  }
+
+  /** Counts again in the bins of the map. */
+  #bin({ edges, counts }) {
+    const [lo, hi] = [edges[0], edges.at(-1)];
+    this.isLog = lo > 0 && hi / lo > LOG_FROM;
+    const scale = this.isLog ? Math.log : (v) => v;
+    const [from, to] = [scale(lo), scale(hi) || 1];
+    this.share = (value) => (scale(value) - from) / (to - from || 1);
+    this.edges = Array.from({ length: BINS + 1 }, (_, i) => {
+      const at = from + (to - from) * i / BINS;
+      return this.isLog ? Math.exp(at) : at;
+    });
+    this.edges[0] = lo;
+    this.edges[BINS] = hi + Math.abs(hi) * 1e-6 + 1e-9; // the highest score is in the last bin
+    this.counts = counts.map((fine) => {
+      const row = new Array(BINS).fill(0);
+      fine.forEach((n, i) => {
+        const middle = (edges[i] + edges[i + 1]) / 2;
+        row[Math.min(BINS - 1, Math.max(0, Math.floor(this.share(middle) * BINS)))] += n;
+      });
+      return row;
+    });
+  }
+
+  /** Marks the body that is shown; null: none. */
+  mark(body) {
+    this.body = body;
+    this.#draw();
+  }
+
+  #x(value, width) {
+    return LEFT_PX + this.share(value) * (width - LEFT_PX - RIGHT_PX);
+  }
+
+  /** The smallest bodies are in the lowest row. */
+  #y(row) {
+    return TOP_PX + (this.rows - 1 - row) * ROW_PX;
+  }
+
+  #draw() {
+    const painted = this.counts && paint(this.canvas);
+    if (!painted) return;
+    const { context, width, color } = painted;
+    const binWidth = (width - LEFT_PX - RIGHT_PX) / BINS;
+    const bottom = TOP_PX + this.rows * ROW_PX;
+    context.textBaseline = 'middle';
+    for (let row = 0; row < this.rows; row++) {
+      const y = this.#y(row);
+      context.fillStyle = color('--text');
+      context.textAlign = 'right';
+      context.fillText(width < 500 ? String(row + 1) : voxels(row + 1), LEFT_PX - 10,
+        y + ROW_PX / 2);
+      context.fillStyle = color('--grid');
+      context.fillRect(LEFT_PX, y + ROW_PX - 1, width - LEFT_PX - RIGHT_PX, 1);
+      const most = Math.max(...this.counts[row]);
+      context.fillStyle = color('--blue');
+      this.counts[row].forEach((n, i) => {
+        if (!n) return;
+        // A single body is still seen beside thousands.
+        const share = Math.log1p(n) / Math.log1p(most);
+        context.globalAlpha = 0.18 + 0.82 * share;
+        const height = Math.max(4, (ROW_PX - 5) * share);
+        context.fillRect(LEFT_PX + i * binWidth, y + ROW_PX - 1 - height,
+          Math.max(1, binWidth - 0.5), height);
+      });
+      context.globalAlpha = 1;
+    }
+    this.#drawAxis(context, width, bottom, color);
+    this.#drawMarks(context, width, color);
+    const { selected } = this;
+    if (!selected) return;
+    context.strokeStyle = color('--text');
+    context.lineWidth = 2;
+    context.strokeRect(LEFT_PX + selected.from * binWidth - 1, this.#y(selected.row) + 1,
+      (selected.to - selected.from + 1) * binWidth + 2, ROW_PX - 3);
+  }
+
+  #drawAxis(context, width, bottom, color) {
+    const [lo, hi] = [this.edges[0], this.edges[BINS]];
+    const all = this.isLog ? Array.from({ length: 12 }, (_, i) => i - 8).flatMap((e) =>
+      LOG_TICKS.map((m) => m * 10 ** e)).filter((v) => v >= lo && v <= hi) : ticks(lo, hi, 6);
+    context.fillStyle = color('--muted');
+    context.textAlign = 'center';
+    let last = -Infinity;
+    for (const value of all) {
+      const x = this.#x(value, width);
+      if (x - last < 40) continue;
+      last = x;
+      context.fillRect(x, bottom, 1, 5);
+      context.fillText(String(Number(value.toPrecision(3))), x, bottom + 13);
+    }
+    context.textAlign = 'left';
+    context.fillText('◂ better', LEFT_PX, bottom + 27);
+    context.textAlign = 'right';
+    context.fillText(this.isLog ? 'score, logarithmic' : 'score', width - RIGHT_PX, bottom + 27);
+  }
+
+  #drawMarks(context, width, color) {
+    const dot = (value, row, fillStyle, radius) => {
+      if (value === null) return;
+      context.beginPath();
+      context.arc(this.#x(value, width), this.#y(row) + ROW_PX / 2, radius, 0, 2 * Math.PI);
+      context.fillStyle = fillStyle;
+      context.fill();
+      context.lineWidth = 2;
+      context.strokeStyle = color('--panel');
+      context.stroke();
+    };
+    this.page.about.sizes.forEach(({ best }, row) => dot(best.score, row, color('--green'), 4.5));
+    if (this.body) dot(this.body.score, this.body.voxels - 1, color('--mark'), 7);
+  }
+
+  // ---- selecting ----
+
+  #at({ offsetX, offsetY }) {
+    const width = this.canvas.clientWidth - LEFT_PX - RIGHT_PX;
+    const bin = Math.floor((offsetX - LEFT_PX) / width * BINS);
+    const row = this.rows - 1 - Math.floor((offsetY - TOP_PX) / ROW_PX);
+    return { bin: Math.min(BINS - 1, Math.max(0, bin)),
+      row: Math.min(this.rows - 1, Math.max(0, row)) };
+  }
+
+  #down(event) {
+    if (event.button !== 0 || !this.counts) return;
+    const { bin, row } = this.#at(event);
+    this.isHeld = true;
+    this.canvas.setPointerCapture(event.pointerId);
+    this.anchor = this.#nearest(row, bin);
+    this.select(row, this.anchor, this.anchor);
+  }
+
+  #move(event) {
+    if (!this.isHeld) return;
+    const { bin } = this.#at(event);
+    this.select(this.selected.row, this.anchor, bin);
+  }
+
+  /** A click close to bodies means them: a single bin is narrow. */
+  #nearest(row, bin) {
+    const counts = this.counts[row];
+    for (let away = 0; away <= 3; away++) {
+      for (const at of [bin - away, bin + away]) if (counts[at]) return at;
+    }
+    return bin;
+  }
+
+  #key(event) {
+    const step = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [1, 0], ArrowDown: [-1, 0] }[
+      event.key];
+    if (!step || !this.counts) return;
+    event.preventDefault();
+    const row = this.selected?.row ?? (this.body?.voxels ?? 1) - 1;
+    let bin = this.last ?? this.counts[row].findIndex(Boolean);
+    const next = Math.min(this.rows - 1, Math.max(0, row + step[0]));
+    if (step[1] && this.selected) {
+      // With Shift every bin counts; without it, the next one that has bodies.
+      let to = bin + step[1];
+      while (!event.shiftKey && to >= 0 && to < BINS && !this.counts[row][to]) to += step[1];
+      if (to >= 0 && to < BINS) bin = to;
+    } else if (!event.shiftKey) {
+      bin = this.#nearest(next, bin);
+      if (!this.counts[next][bin]) bin = this.counts[next].findIndex(Boolean);
+    }
+    this.anchor = event.shiftKey ? this.anchor ?? bin : bin;
+    this.select(next, this.anchor, bin);
+  }
+
+  /** Selects the bins from one to another of a row, and shows their bodies. */
+  async select(row, anchor, last) {
+    const [from, to] = [Math.min(anchor, last), Math.max(anchor, last)];
+    const { selected: before } = this;
+    this.last = last;
+    if (before?.row === row && before.from === from && before.to === to) return;
+    this.selected = { row, from, to };
+    this.#draw();
+    const turn = ++this.turn;
+    const [lo, hi] = [this.edges[from], this.edges[to + 1]];
+    try {
+      const { items, bodies } = await this.page.atlas.best({ voxels: row + 1, lo, hi,
+        limit: SHOWN });
+      if (turn !== this.turn) return;
+      say(this.words, `${countOf(bodies, 'body', 'bodies')} of ${voxels(row + 1)} with scores ` +
+        `from ${score(lo)} to ${score(hi)}${bodies > SHOWN ? `: the best ${count(SHOWN)}` : ''}`);
+      patch(this.list, items.map((one, i) => ({ one, i })), ({ i }) => i,
+        ({ one }) => this.page.card(one), (card, { one }) => this.page.fillCard(card, one));
+    } catch (error) {
+      if (turn === this.turn) fill(this.words, h('span.error', {}, error.message));
+    }
+  }
+
+  destroy() {
+    this.turn++;
+    this.resize.disconnect();
+    this.page.app.themeListeners.delete(this.onTheme);
+  }
+}
