@@ -22,6 +22,7 @@ const VIEWS = {
   designs: { name: 'Designs', module: './views/designs.js', hasTask: true },
   controllers: { name: 'Controllers', module: './views/controllers.js' },
   lab: { name: 'Lab', module: './views/lab.js', hasTask: true },
+  atlas: { name: 'Atlas', module: './views/atlas.js' },
   stage: { name: 'Stage', module: './views/stage.js' },
   machines: { name: 'Machines', module: './views/machines.js' },
   compare: { name: 'Compare robots', module: './views/compare.js', under: 'designs' },

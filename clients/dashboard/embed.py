@@ -22,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 
+SHADERS = "stage/shaders.js"
 TYPES = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -70,6 +71,15 @@ def minify(esbuild: str, files: dict[str, bytes]) -> dict[str, bytes]:
         return {name: (pathlib.Path(folder) / name).read_bytes() for name in files}
 
 
+def dense(text: str) -> str:
+    """Removes spaces around signs in the shaders, which are template literals, so that esbuild
+    leaves them as they are. Minus stays apart: `- -1.0` is no decrement. A line of the
+    preprocessor stays, too."""
+    return re.sub(r"`[^`]*`", lambda shader: "\n".join(
+        line if line.startswith("#") else re.sub(r" *([=,;(){}*/<>?:+]) *", r"\1", line)
+        for line in shader[0].split("\n")), text)
+
+
 def squeeze(esbuild: str, source: bytes) -> bytes:
     """Removes spaces from a module, but no names. Each import and each export still begins a line,
     because saved pages and the Python client find them there."""
@@ -114,6 +124,7 @@ def main() -> None:
              else text.encode() for name, text in sources.items()}
     if esbuild:
         kept = inlined(sources["export/page.js"])
+        files[SHADERS] = dense(files[SHADERS].decode()).encode()
         files |= minify(esbuild, {name: content for name, content in files.items()
                                   if name.endswith((".js", ".css")) and name not in kept})
         files |= {name: squeeze(esbuild, files[name]) for name in kept - {"export/page.js"}}

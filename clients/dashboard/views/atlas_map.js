@@ -8,10 +8,11 @@ import { ticks } from '../lib/chart.js';
 const BINS = 72;
 /** The service has equal bins; those of the map are equal on its logarithmic axis. */
 const FINE = 1024;
-const LEFT_PX = 74;
 const RIGHT_PX = 12;
 const TOP_PX = 8;
 const AXIS_PX = 34;
+/** Narrower maps have sizes as numbers alone. */
+const NARROW_PX = 500;
 const ROW_PX = 34;
 const SHOWN = 24;
 /** The axis is logarithmic if scores differ by more than this factor. */
@@ -38,6 +39,8 @@ export class AtlasMap {
         h('i.swatch.here'), 'your body'), h('span', {}, h('i.swatch.top'), 'best of its size'))),
     this.canvas, this.words, this.list);
     this.turn = 0;
+    /** Where the axis begins, in pixels. */
+    this.left = 0;
     this.resize = new ResizeObserver(() => this.#draw());
     this.resize.observe(this.canvas);
     this.onTheme = () => this.#draw();
@@ -89,7 +92,7 @@ export class AtlasMap {
   }
 
   #x(value, width) {
-    return LEFT_PX + this.share(value) * (width - LEFT_PX - RIGHT_PX);
+    return this.left + this.share(value) * (width - this.left - RIGHT_PX);
   }
 
   /** The smallest bodies are in the lowest row. */
@@ -101,17 +104,19 @@ export class AtlasMap {
     const painted = this.counts && paint(this.canvas);
     if (!painted) return;
     const { context, width, color } = painted;
-    const binWidth = (width - LEFT_PX - RIGHT_PX) / BINS;
+    const isNarrow = width < NARROW_PX;
+    this.left = isNarrow ? 26 : 74;
+    const binWidth = (width - this.left - RIGHT_PX) / BINS;
     const bottom = TOP_PX + this.rows * ROW_PX;
     context.textBaseline = 'middle';
     for (let row = 0; row < this.rows; row++) {
       const y = this.#y(row);
       context.fillStyle = color('--text');
       context.textAlign = 'right';
-      context.fillText(width < 500 ? String(row + 1) : voxels(row + 1), LEFT_PX - 10,
+      context.fillText(isNarrow ? String(row + 1) : voxels(row + 1), this.left - 10,
         y + ROW_PX / 2);
       context.fillStyle = color('--grid');
-      context.fillRect(LEFT_PX, y + ROW_PX - 1, width - LEFT_PX - RIGHT_PX, 1);
+      context.fillRect(this.left, y + ROW_PX - 1, width - this.left - RIGHT_PX, 1);
       const most = Math.max(...this.counts[row]);
       context.fillStyle = color('--blue');
       this.counts[row].forEach((n, i) => {
@@ -120,7 +125,7 @@ export class AtlasMap {
         const share = Math.log1p(n) / Math.log1p(most);
         context.globalAlpha = 0.18 + 0.82 * share;
         const height = Math.max(4, (ROW_PX - 5) * share);
-        context.fillRect(LEFT_PX + i * binWidth, y + ROW_PX - 1 - height,
+        context.fillRect(this.left + i * binWidth, y + ROW_PX - 1 - height,
           Math.max(1, binWidth - 0.5), height);
       });
       context.globalAlpha = 1;
@@ -131,7 +136,7 @@ export class AtlasMap {
     if (!selected) return;
     context.strokeStyle = color('--text');
     context.lineWidth = 2;
-    context.strokeRect(LEFT_PX + selected.from * binWidth - 1, this.#y(selected.row) + 1,
+    context.strokeRect(this.left + selected.from * binWidth - 1, this.#y(selected.row) + 1,
       (selected.to - selected.from + 1) * binWidth + 2, ROW_PX - 3);
   }
 
@@ -150,7 +155,7 @@ export class AtlasMap {
       context.fillText(String(Number(value.toPrecision(3))), x, bottom + 13);
     }
     context.textAlign = 'left';
-    context.fillText('◂ better', LEFT_PX, bottom + 27);
+    context.fillText('◂ better', this.left, bottom + 27);
     context.textAlign = 'right';
     context.fillText(this.isLog ? 'score, logarithmic' : 'score', width - RIGHT_PX, bottom + 27);
   }
@@ -173,8 +178,8 @@ export class AtlasMap {
   // ---- selecting ----
 
   #at({ offsetX, offsetY }) {
-    const width = this.canvas.clientWidth - LEFT_PX - RIGHT_PX;
-    const bin = Math.floor((offsetX - LEFT_PX) / width * BINS);
+    const width = this.canvas.clientWidth - this.left - RIGHT_PX;
+    const bin = Math.floor((offsetX - this.left) / width * BINS);
     const row = this.rows - 1 - Math.floor((offsetY - TOP_PX) / ROW_PX);
     return { bin: Math.min(BINS - 1, Math.max(0, bin)),
       row: Math.min(this.rows - 1, Math.max(0, row)) };

@@ -267,6 +267,11 @@ export class AtlasPage {
         this.atlas.ascent(genotype)]);
       if (turn !== this.turn) return;
       this.#say(body);
+      // Cards far below change what is out of sight.
+      if (isNew && this.past.length && this.numbers.getBoundingClientRect().bottom < 0) {
+        announce(`${nameOf(body.id)}: score ${score(body.score)}, better than ` +
+          `${shareOf(body.percentile)}`);
+      }
       this.#sayChanges(body);
       this.#sayWay(body, way);
       this.map.mark(body);
