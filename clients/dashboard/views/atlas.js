@@ -5,6 +5,7 @@ import { choice, fill, h, table } from '../lib/dom.js';
 import { bytes, count, score } from '../lib/format.js';
 import { roll } from '../lib/rollouts.js';
 import { AtlasHttp } from '../lib/atlas_http.js';
+import { AtlasCompare } from './atlas_compare.js';
 import { AtlasPage, startOf, taskTitle } from './atlas_page.js';
 import { AtlasWalk } from './atlas_walk.js';
 import { trayButton } from './add.js';
@@ -33,7 +34,7 @@ export async function mount(main, [name], parameters, app) {
     const [robot] = await roll([{ voxels: genotype }], environment,
       { controller: `sha256:${about.controller}`, signal });
     return { robot, words: `As drawn, in the first of ${about.environments.length} environments, ` +
-      `under the controller of the atlas: loss ${score(robot.loss)}` };
+      `under the controller of the atlas, with default physics: loss ${score(robot.loss)}` };
   });
   const page = new AtlasPage(atlas, about, {
     app, walker,
@@ -41,6 +42,8 @@ export async function mount(main, [name], parameters, app) {
       h('a.button', { href: `#/lab?voxels=${genotype}` }, 'Open in the Lab')],
     others: items.length > 1 ? choice('Atlas', items.map((one) => one.name), name,
       (other) => app.go(`atlas/${other}`, { voxels: page.body })) : null,
+    compare: items.length > 1 ? (of) => new AtlasCompare(of, items.map((one) => one.name)
+      .filter((other) => other !== name)) : null,
   });
   fill(main, page.element);
   app.setTitle(`Atlas ${name}`);

@@ -17,7 +17,7 @@ const ROW_PX = 34;
 const SHOWN = 24;
 /** The axis is logarithmic if scores differ by more than this factor. */
 const LOG_FROM = 6;
-const LOG_TICKS = [1, 2, 5];
+const LOG_TICKS = [1, 1.5, 2, 3, 5, 7];
 
 export class AtlasMap {
   /** @param {any} page of an atlas */
@@ -149,7 +149,7 @@ export class AtlasMap {
     let last = -Infinity;
     for (const value of all) {
       const x = this.#x(value, width);
-      if (x - last < 40) continue;
+      if (x - last < 44) continue;
       last = x;
       context.fillRect(x, bottom, 1, 5);
       context.fillText(String(Number(value.toPrecision(3))), x, bottom + 13);

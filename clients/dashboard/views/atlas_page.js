@@ -44,11 +44,12 @@ export class AtlasPage {
   /**
    * @param {any} atlas AtlasFile or AtlasHttp
    * @param {any} about its description
-   * @param {{app: any, walker: any, links?: function(string): any[], others?: any}} parts walker:
+   * @param {{app: any, walker: any, links?: function(string): any[], others?: any,
+   *   compare?: function(any): any}} parts walker:
    *   has element, show(genotype, id) and close(); links: what else can be done with a body;
-   *   others: goes beside the title
+   *   others: goes beside the title; compare: makes the last section
    */
-  constructor(atlas, about, { app, walker, links = () => [], others = null }) {
+  constructor(atlas, about, { app, walker, links = () => [], others = null, compare = null }) {
     this.atlas = atlas;
     this.about = about;
     this.app = app;
@@ -67,6 +68,9 @@ export class AtlasPage {
     this.shape = new Shape(edit);
     this.map = new AtlasMap(this);
     this.optima = new AtlasOptima(this);
+    this.compare = compare?.(this);
+    /** What the atlas has of the body. @type {any} */
+    this.shown = null;
     this.numbers = h('div.atlas-numbers', { role: 'status' });
     this.changes = h('div.strip');
     this.way = h('div.strip');
@@ -78,13 +82,13 @@ export class AtlasPage {
     this.loose = h('div.row.warning', { hidden: true });
     this.onKey = (event) => this.#key(event);
     document.addEventListener('keydown', this.onKey);
+    this.watch = h('section.panel.flush.watch', { 'aria-label': 'Where it stands' },
+      this.numbers, walker.element);
     this.element = h('div.atlas', {}, this.#head(others), this.#sizes(),
-      h('div.grid.lab', {}, this.#editor(),
-        h('section.panel.flush.watch', { 'aria-label': 'Where it stands' }, this.numbers,
-          walker.element)),
+      h('div.grid.lab', {}, this.#editor(), this.watch),
       this.#section('One voxel from here', this.changesWords, this.changes),
       this.#section('The way up', this.wayWords, this.way),
-      this.map.element, this.optima.element);
+      this.map.element, this.optima.element, this.compare?.element);
   }
 
   #head(others) {
@@ -255,7 +259,9 @@ export class AtlasPage {
     const turn = ++this.turn;
     const loose = this.#draw();
     this.loose.hidden = !loose;
-    say(this.loose, loose ? `${countOf(loose, 'loose voxel')}: a body is in one piece` : '');
+    fill(this.loose, h('span', {}, loose ? `${countOf(loose, 'loose voxel')}: connect or remove ` +
+      `${loose === 1 ? 'it' : 'them'}. The numbers are those of the body before.` : ''));
+    this.watch.classList.toggle('stale', loose > 0);
     if (loose) return;
     this.id = robotOf(genotype).slice(0, 36);
     this.#mark();
@@ -274,16 +280,23 @@ export class AtlasPage {
       }
       this.#sayChanges(body);
       this.#sayWay(body, way);
-      this.map.mark(body);
+      this.#markBody(body);
       performance.measure('morphod-atlas-click-to-numbers', { start: started });
     } catch (error) {
       if (turn !== this.turn) return;
       fill(this.numbers, h('p.error', {}, error.message));
       for (const list of [this.changes, this.way]) patch(list, [], () => 0, () => null);
       for (const words of [this.changesWords, this.wayWords]) say(words, '');
-      this.map.mark(null);
+      this.#markBody(null);
     }
     this.walker.show(genotype, this.id, started);
+  }
+
+  /** Marks the body in the pictures of all bodies; null: it is not among them. */
+  #markBody(body) {
+    this.shown = body;
+    this.map.mark(body);
+    this.compare?.mark(body);
   }
 
   /** Marks the cards of the body that is shown. */
@@ -295,9 +308,9 @@ export class AtlasPage {
   #say(body) {
     const { of_size: own } = body;
     const name = nameOf(body.id);
-    fill(this.numbers, h('p.better-than', {}, body.rank === 1
-      ? h('strong', {}, 'The best of all') : ['Better than ', h('strong', {},
-        shareOf(body.percentile))], ` of all ${count(this.about.bodies)} bodies`),
+    fill(this.numbers, h('p.better-than', {}, body.rank === 1 ? h('strong', {}, 'The best')
+      : ['Better than ', h('strong', {}, shareOf(body.percentile))],
+    ` of all ${count(this.about.bodies)} bodies`),
     h('dl', {}, h('div', {}, h('dt', {}, 'score ↓'), h('dd', {}, this.scoreWords(body.score))),
       h('div', {}, h('dt', {}, 'rank'), h('dd', {}, count(body.rank))),
       h('div', {}, h('dt', {}, `among ${count(own.bodies)} of ${voxels(body.voxels)}`),
@@ -354,6 +367,7 @@ export class AtlasPage {
     this.turn++;
     document.removeEventListener('keydown', this.onKey);
     this.map.destroy();
+    this.compare?.destroy();
     this.walker.close();
   }
 }

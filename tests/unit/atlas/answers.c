@@ -1,7 +1,6 @@
-/* answers.c: writes an atlas with invented losses, and prints what the library answers about it,
- * for tests of other readers: `atlas-answers PATH VOXELS LEVELS`. One body in a few is printed:
- * position, rank, rank in its size, percentile, best neighbor by any step, number of neighbors,
- * optimum by adding and removing, its basin. */
+/* answers.c: writes an atlas with invented losses, and prints what the library answers about some
+ * of its bodies, for tests of other readers: `atlas-answers PATH VOXELS LEVELS [CONTROLLER]`. The
+ * controller is a SHA-256 in hexadecimal digits. */
 #include "fixture.h"
 
 #include <inttypes.h>
@@ -60,20 +59,33 @@ static int print_all(const struct mo_atlas *atlas)
   return error;
 }
 
+static int read_hash(const char *text, uint8_t hash[32])
+{
+  if (strlen(text) != 64)
+    return MO_ERR_FORMAT;
+  for (int i = 0; i < 32; i++) {
+    const char digits[] = {text[2 * i], text[2 * i + 1], '\0'};
+    hash[i] = (uint8_t)strtoul(digits, NULL, 16);
+  }
+  return MO_OK;
+}
+
 int main(int n, char **words)
 {
   struct mo_environment environments[MO_PAPER_TEST_COUNT];
   struct mo_message message = {""};
   struct mo_atlas *atlas = NULL;
-  if (n != 4)
+  if (n != 4 && n != 5)
     return 2;
-  const struct mo_atlas_source source = fixture_source((uint32_t)strtoul(words[2], NULL, 10));
+  struct mo_atlas_source source = fixture_source((uint32_t)strtoul(words[2], NULL, 10));
   mo_environment_paper_test(environments);
   environments[1].task.guide = (struct mo_guide){.kind = MO_GUIDE_AHEAD, .distance_m = 1.5};
   environments[1].task.objective = MO_OBJECTIVE_TRAVEL;
   environments[1].light_xy_m[0] = environments[1].light_xy_m[1] = 0;
-  int error = fixture_write(&mo_system_files, words[1], &source, environments, 3,
-                            strtoull(words[3], NULL, 10), &message);
+  int error = n == 5 ? read_hash(words[4], source.controller_sha256) : MO_OK;
+  if (error == MO_OK)
+    error = fixture_write(&mo_system_files, words[1], &source, environments, 3,
+                          strtoull(words[3], NULL, 10), &message);
   if (error == MO_OK)
     error = mo_atlas_open(words[1], &atlas, &message);
   if (error == MO_OK)

@@ -1,0 +1,232 @@
+"""Atlases: the reader of files against the library, the static site, and the page of a service."""
+
+import contextlib
+import functools
+import http.server
+import json
+import os
+import pathlib
+import subprocess
+import threading
+
+import pytest
+from selenium.webdriver.common.keys import Keys
+
+from browser import Browser
+from contract import SOURCE
+from test_pages import ACCESSIBILITY
+
+ANSWERS = pathlib.Path(os.environ.get("MORPHOD", SOURCE / "build" / "src" / "daemon" / "morphod"))
+ANSWERS = ANSWERS.parents[2] / "tests" / "unit" / "atlas" / "atlas-answers"
+TOOL = SOURCE / "tools" / "atlas-site"
+VOXELS = 8
+SITE_BYTES = 3_000_000
+
+
+def write_atlas(path, voxels, levels=1000, controller=""):
+    """Returns what the library answers about an atlas with invented losses."""
+    words = [ANSWERS, path, str(voxels), str(levels), *([controller] if controller else [])]
+    return json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
+
+
+def make_site(*words):
+    return subprocess.run([TOOL, *words], capture_output=True, text=True)
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        pass
+
+
+@contextlib.contextmanager
+def served(folder):
+    """Serves a folder as any web server does."""
+    server = http.server.ThreadingHTTPServer(
+        ("127.0.0.1", 0), functools.partial(Quiet, directory=folder))
+    server.host, server.port = server.server_address
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("atlas")
+    return write_atlas(folder / "all.atlas", VOXELS) | {"path": folder / "all.atlas"}
+
+
+@pytest.fixture(scope="module")
+def site(answers):
+    """A browser that is at a static site without recordings."""
+    folder = answers["path"].parent / "site"
+    made = make_site("--name", "invented", answers["path"], folder)
+    assert made.returncode == 0, made.stderr
+    with served(folder) as server:
+        page = Browser(server)
+        yield page
+        page.quit()
+
+
+def visit(page, link="", shown=".better-than"):
+    page.driver.get("about:blank")
+    page.driver.get(page.base + link)
+    page.until(f"document.querySelector({shown!r})")
+
+
+# Asks the reader of files for what the library was asked.
+ASK = """
+const [items, done] = arguments;
+(async () => {
+  const { AtlasFile } = await import(new URL('lib/atlas_file.js', location.href));
+  const bytes = await (await fetch('bodies.atlas')).arrayBuffer();
+  const atlas = new AtlasFile(bytes, 'invented');
+  const { optima, items: all } = await atlas.optima({ limit: Infinity });
+  const basins = new Map(all.map((one) => [one.position, one.basin]));
+  const found = [];
+  for (const { position } of items) {
+    const { genotype } = await atlas.at(position);
+    const body = await atlas.body(genotype, { changes: 1000 });
+    const { optimum } = await atlas.ascent(genotype);
+    const [best] = body.best_changes;
+    found.push({ position: body.position, voxels: body.voxels, genotype, score: body.score,
+      loss: body.losses[1], rank: body.rank, rank_of_size: body.of_size.rank,
+      percentile: body.percentile, neighbors: body.best_changes.length, best: best.position,
+      step: best.step, optimum: optimum.position, basin: basins.get(optimum.position) });
+  }
+  const [reach, travel] = atlas.environments.map((one) => one.task);
+  const refused = [bytes.slice(0, -8), bytes.slice(0, 100), new ArrayBuffer(400)].map((wrong) => {
+    try { new AtlasFile(wrong, 'wrong'); } catch (error) { return error.message; }
+  });
+  done({ bodies: atlas.n, optima, items: found, reach, travel, refused });
+})().catch((error) => done(String(error)));
+"""
+
+
+def test_the_page_and_the_library_agree(answers, site):
+    visit(site)
+    site.driver.set_script_timeout(300)
+    some = answers["items"][:200] + answers["items"][200::40]
+    found = site.driver.execute_async_script(ASK, [{"position": one["position"]} for one in some])
+    assert isinstance(found, dict), found
+    assert (found["bodies"], found["optima"]) == (answers["bodies"], answers["optima"])
+    for got, expected in zip(found["items"], some):
+        assert got == pytest.approx(expected, rel=1e-7), expected["position"]
+    assert found["reach"] == {"objective": "reach", "guide": {"kind": "fixed"}}
+    assert found["travel"] == {"objective": "travel", "guide": {"kind": "ahead"}}
+    assert [text.split()[1] for text in found["refused"]] == ["is"] * 3, found["refused"]
+
+
+def test_a_stranger_finds_the_best_body_of_six_voxels(answers, site):
+    """In at most three clicks, on a page that says what it is about."""
+    visit(site)
+    assert "All 24,135 bodies of at most 8 voxels" in site.texts(".sentence")[0]
+    best = min((one for one in answers["items"] if one["voxels"] == 6), key=lambda one: one["score"])
+    site.run("[...document.querySelectorAll('button.card')]"
+             ".find((e) => e.innerText.includes('6 voxels')).click()")
+    site.until("document.querySelector('.atlas-numbers').innerText.includes('1: the best')")
+    score = float(site.texts(".atlas-numbers dd")[0])
+    assert score <= best["score"] + 5e-5
+    assert site.run("return location.hash.split('=')[1].replaceAll('0', '').length") == 6
+    assert "no recordings" in site.texts(".walk-words")[0]
+    assert site.faults() == []
+
+
+def test_everything_by_keyboard(site):
+    """A voxel is added in the layers, a change and the map are used, and all can be undone."""
+    visit(site, "#voxels=" + "1" + "0" * 143)
+    before = site.texts(".atlas-numbers")[0]
+    site.run("document.querySelector('[data-cell=\"0,0,1\"]').focus()")
+    site.driver.switch_to.active_element.send_keys(Keys.SPACE)
+    site.until("document.querySelector('.atlas-numbers').innerText.includes('of 2 voxels')")
+    site.run("document.querySelector('[aria-label=\"One voxel from here\"] .card').focus()")
+    site.driver.switch_to.active_element.send_keys(Keys.ENTER)
+    site.until("!document.querySelector('.atlas-numbers').innerText.includes('of 2 voxels')")
+    assert site.run("return document.activeElement.matches('.card')"), "the focus stays"
+    site.run("document.querySelector('canvas[role=application]').focus()")
+    canvas = site.driver.switch_to.active_element
+    canvas.send_keys(Keys.ARROW_UP)
+    site.until("/ of \\d voxels? with scores/.test(document.querySelector('[aria-label=Map]')"
+               ".innerText)")
+    first = site.texts("[aria-label=Map] p")
+    canvas.send_keys(Keys.ARROW_RIGHT)
+    site.until(f"document.querySelector('[aria-label=Map] p').innerText !== {first[0]!r}")
+    assert site.run("return document.querySelectorAll('[aria-label=Map] .card').length") > 0
+    for _ in range(2):
+        canvas.send_keys(Keys.CONTROL, "z")
+    site.until(f"document.querySelector('.atlas-numbers').innerText === {before!r}")
+    assert site.faults() == []
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_all_can_use_it(site, theme):
+    visit(site)
+    if site.run("return document.documentElement.dataset.theme") != theme:
+        site.run("[...document.querySelectorAll('button')]"
+                 ".find((e) => e.innerText.endsWith('theme')).click()")
+    site.click("Find them")
+    site.until("document.querySelectorAll('[aria-label=\"Local optima\"] .card').length === 18", 300)
+    assert site.run(ACCESSIBILITY) == []
+    text = site.run("return document.body.innerText")
+    assert not any(word in text for word in ("null", "undefined", "NaN"))
+
+
+def test_it_fits_a_phone(site):
+    metrics = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    site.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    try:
+        visit(site)
+        assert site.run("return document.documentElement.scrollWidth") <= 390
+    finally:
+        site.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_bodies_outside_say_so(site):
+    """Too many voxels, or not in one piece: the page says what to do."""
+    visit(site, "#voxels=" + "1" * 12 + "0" * 132, ".atlas-numbers .error")
+    assert "ends at 8 voxels" in site.texts(".atlas-numbers")[0]
+    visit(site, "#voxels=" + "1001" + "0" * 140, ".warning")
+    site.until("document.querySelector('.warning').innerText.includes('1 loose voxel')")
+
+
+def test_a_site_is_small_and_records_motion(service, answers, tmp_path):
+    """The best of each size and footprint walk; other bodies stand, and the page says so."""
+    controller = service.get("/v1/controllers")["items"][0]["sha256"]
+    write_atlas(tmp_path / "five.atlas", 5, 1000, controller)
+    url = f"http://{service.host}:{service.port}"
+    made = make_site("--service", url, tmp_path / "five.atlas", tmp_path / "site")
+    assert made.returncode == 0, made.stderr
+    shown = json.loads((tmp_path / "site" / "site.json").read_text())["recordings"]
+    assert len(shown) >= 5
+    files = [path for path in (tmp_path / "site").rglob("*") if path.is_file()]
+    walks = max(path.stat().st_size for path in files if path.suffix == ".scene")
+    everything = sum(path.stat().st_size for path in answers["path"].parent.rglob("site/**/*")
+                     if path.is_file())
+    assert everything + 30 * walks <= SITE_BYTES, "as many walks as a site of 8 voxels has"
+    with served(tmp_path / "site") as server:
+        page = Browser(server)
+        try:
+            visit(page)
+            page.until("/^Recorded/.test(document.querySelector('.walk-words').innerText)")
+            page.until("document.querySelector('.stage').player.stage.durationS() > 1")
+            page.driver.get(page.base + "#voxels=" + "11110000" * 2 + "0" * 128)
+            page.until("/stands still/.test(document.querySelector('.stage .note').innerText) ||"
+                       "/^Recorded/.test(document.querySelector('.walk-words').innerText)")
+            assert page.faults() == []
+        finally:
+            page.quit()
+
+
+@pytest.mark.parametrize("bytes, words", [(b"", "not an atlas"), (None, "truncated")])
+def test_the_tool_refuses(answers, tmp_path, bytes, words):
+    whole = answers["path"].read_bytes()
+    (tmp_path / "a.atlas").write_bytes(whole[:-100] if bytes is None else bytes)
+    made = make_site(tmp_path / "a.atlas", tmp_path / "site")
+    assert made.returncode != 0 and words in made.stderr
+    assert not (tmp_path / "site").exists()
+    made = make_site(answers["path"], tmp_path)
+    assert made.returncode != 0 and "not empty" in made.stderr
