@@ -124,7 +124,7 @@ def test_the_page_and_the_library_agree(answers, site):
 def test_a_stranger_finds_the_best_body_of_six_voxels(answers, site):
     """In at most three clicks, on a page that says what it is about."""
     visit(site)
-    assert "All 24,135 bodies of at most 8 voxels" in site.texts(".sentence")[0]
+    assert "All 24,135 robots of at most 8 voxels" in site.texts(".sentence")[0]
     best = min((one for one in answers["items"] if one["voxels"] == 6), key=lambda one: one["score"])
     site.run("[...document.querySelectorAll('button.card')]"
              ".find((e) => e.innerText.includes('6 voxels')).click()")
@@ -219,6 +219,42 @@ def test_a_site_is_small_and_records_motion(service, answers, tmp_path):
             assert page.faults() == []
         finally:
             page.quit()
+
+
+def test_the_page_of_a_service(service, browser, tmp_path):
+    """The same numbers over the routes; the body walks under the controller of the atlas, and
+    another atlas can be compared."""
+    controller = service.get("/v1/controllers")["items"][0]["sha256"]
+    for name, levels, by in (("five", 1000, controller), ("other", 900, "ab" * 32)):
+        write_atlas(tmp_path / name, 5, levels, by)
+        reply = service.request("PUT", f"/v1/atlases/{name}/file",
+                                body=(tmp_path / name).read_bytes(),
+                                headers={"Content-Type": "application/octet-stream"})
+        assert reply.status == 201, reply.body
+    browser.open("atlas")
+    browser.until("document.querySelector('main table')")
+    assert browser.texts("main td a") == ["five", "other"]
+    best = service.get("/v1/atlases/five/best?voxels=4&limit=1")["items"][0]
+    browser.open("atlas/five")
+    browser.until("document.querySelectorAll('.sizes .card').length === 5")
+    browser.run("document.querySelectorAll('.sizes .card')[3].click()")
+    browser.until("document.querySelector('.atlas-numbers').innerText.includes('1: the best')")
+    assert browser.texts(".atlas-numbers dd")[:2] == [f"{best['score']:.4f}", str(best["rank"])]
+    browser.until("/^As drawn/.test(document.querySelector('.walk-words').innerText)", 300)
+    changes = service.get("/v1/atlases/five/neighbors?steps=add,remove,move&design=" +
+                          best["genotype"])["items"]
+    assert browser.texts("[aria-label='One voxel from here'] strong") == \
+        [f"{one['score']:.4f}" for one in changes[:8]]
+    browser.click("Find them")
+    browser.until("document.querySelectorAll('[aria-label=\"Local optima\"] .card').length > 5")
+    browser.run("const e = document.querySelector('[aria-label=\"Compare with\"]');"
+                "e.value = 'other'; e.dispatchEvent(new Event('change'))")
+    browser.until("document.querySelector('[aria-label=Compare] p').innerText.includes('Kendall')")
+    assert "124 bodies are in both" in browser.texts("[aria-label=Compare] p")[0]
+    assert browser.run(ACCESSIBILITY) == []
+    assert browser.faults() == []
+    browser.open("atlas/other")
+    browser.until("/^It does not walk: /.test(document.querySelector('.walk-words').innerText)")
 
 
 @pytest.mark.parametrize("bytes, words", [(b"", "not an atlas"), (None, "truncated")])

@@ -2,8 +2,9 @@
 
 import { WORKSPACE, cellsOf, genotypeOf, genotypeOfId } from './body.js';
 
-/** @type {function(number[]): string} */
-const key = (cell) => cell.join(',');
+/** Names a cell, also one that is outside of the workspace by less than its sides. Numbers, because
+ * a page places some twenty bodies at once. */
+const nameOf = (x, y, z) => (x + 16) * 4096 + (y + 16) * 64 + z + 16;
 
 /**
  * Returns the image of a body that shares the most voxels with another one, in the workspace, and
@@ -14,23 +15,28 @@ const key = (cell) => cell.join(',');
  */
 export function placeLike(genotype, id) {
   const other = cellsOf(genotype);
-  const taken = new Set(other.map(key));
+  const taken = new Set(other.map(([x, y, z]) => nameOf(x, y, z)));
   let best = { shared: -1, cells: [] };
   for (let k = 0; k < 8; k++) {
     const image = cellsOf(genotypeOfId(`${id}@${k}`));
     const tried = new Set();
     for (const from of image) {
       for (const to of other) {
-        const step = to.map((v, axis) => v - from[axis]);
-        if (tried.has(key(step))) continue;
-        tried.add(key(step));
-        const cells = image.map((cell) => cell.map((v, axis) => v + step[axis]));
-        const shared = cells.filter((cell) => taken.has(key(cell))).length;
-        if (shared > best.shared) best = { shared, cells };
+        const [dx, dy, dz] = to.map((v, axis) => v - from[axis]);
+        const name = nameOf(dx, dy, dz);
+        if (tried.has(name)) continue;
+        tried.add(name);
+        let shared = 0;
+        for (const [x, y, z] of image) {
+          if (taken.has(nameOf(x + dx, y + dy, z + dz))) shared++;
+        }
+        if (shared > best.shared) {
+          best = { shared, cells: image.map(([x, y, z]) => [x + dx, y + dy, z + dz]) };
+        }
       }
     }
   }
-  const isNew = best.cells.map((cell) => !taken.has(key(cell)));
+  const isNew = best.cells.map(([x, y, z]) => !taken.has(nameOf(x, y, z)));
   // It may reach out of the workspace where the other body stands at its edge.
   const back = WORKSPACE.map((side, axis) => {
     const at = best.cells.map((cell) => cell[axis]);
@@ -38,7 +44,7 @@ export function placeLike(genotype, id) {
   });
   const cells = best.cells.map((cell) => cell.map((v, axis) => v + back[axis]));
   return { genotype: genotypeOf(cells),
-    added: new Set(cells.filter((_, i) => isNew[i]).map(key)) };
+    added: new Set(cells.filter((_, i) => isNew[i]).map(String)) };
 }
 
 /** Returns a genotype in the middle of the workspace, on the ground: there is room to build. */

@@ -95,14 +95,17 @@ export class AtlasPage {
     const { about, measure } = this;
     const isImages = about.orientations === 'images';
     const n = about.environments.length;
+    const means = taskTitle(about.environments) === TASKS[0].title
+      ? 'distance to the light at the end, 1 at the start' : measure ? 'loss, 1 if it stands still'
+        : 'loss';
     return h('div.stack.atlas-head', {},
       h('div.title', {}, h('h1', {}, `Atlas ${about.name}`),
         others ? h('div.actions', {}, others) : null),
-      h('p.sentence', {}, `All ${count(about.bodies)} bodies of at most ${about.voxels_max} ` +
+      h('p.sentence', {}, `All ${count(about.bodies)} robots of at most ${about.voxels_max} ` +
         `voxels, each scored at `, h('em', {}, taskTitle(about.environments)),
       ': draw one, and see where it stands.'),
-      h('p.muted', {}, `The score is the mean loss in ${countOf(n, 'environment')}` +
-        `${isImages ? ', of the body in all its orientations' : ''}: ↓ lower is better` +
+      h('p.muted', {}, `The score is the ${means}, the mean of ${countOf(n, 'environment')}` +
+        `${isImages ? ' and of the body in all its orientations' : ''}: ↓ lower is better` +
         `${measure ? `, and ${measure.verb} meters follow from it` : ''}. A body's value holds ` +
         'under this one controller, ', h('code', { title: about.controller },
         about.controller.slice(0, 8)), ': under another, bodies rank differently.'));
@@ -245,7 +248,7 @@ export class AtlasPage {
     if (genotype !== this.body) this.show(genotype);
   }
 
-  /** Shows a body: numbers first, then it walks. */
+  /** Shows a body. */
   async show(genotype, { isNew = true } = {}) {
     const started = performance.now();
     if (isNew && this.body) {
@@ -265,12 +268,14 @@ export class AtlasPage {
     if (loose) return;
     this.id = robotOf(genotype).slice(0, 36);
     this.#mark();
+    this.walker.show(genotype, this.id, started);
     const isInside = cellsOf(genotype).length <= this.about.voxels_max;
     try {
       if (!isInside) throw new Error(`This atlas ends at ${this.about.voxels_max} voxels; the ` +
         `body has ${cellsOf(genotype).length}. Remove some.`);
-      const [body, way] = await Promise.all([this.atlas.body(genotype, { changes: CHANGES }),
-        this.atlas.ascent(genotype)]);
+      const coming = this.atlas.ascent(genotype);
+      coming.catch(() => {}); // then the body fails, too
+      const body = await this.atlas.body(genotype, { changes: CHANGES });
       if (turn !== this.turn) return;
       this.#say(body);
       // Cards far below change what is out of sight.
@@ -278,10 +283,12 @@ export class AtlasPage {
         announce(`${nameOf(body.id)}: score ${score(body.score)}, better than ` +
           `${shareOf(body.percentile)}`);
       }
-      this.#sayChanges(body);
-      this.#sayWay(body, way);
-      this.#markBody(body);
       performance.measure('morphod-atlas-click-to-numbers', { start: started });
+      this.#sayChanges(body);
+      this.#markBody(body);
+      const way = await coming;
+      if (turn !== this.turn) return;
+      this.#sayWay(body, way);
     } catch (error) {
       if (turn !== this.turn) return;
       fill(this.numbers, h('p.error', {}, error.message));
@@ -289,7 +296,6 @@ export class AtlasPage {
       for (const words of [this.changesWords, this.wayWords]) say(words, '');
       this.#markBody(null);
     }
-    this.walker.show(genotype, this.id, started);
   }
 
   /** Marks the body in the pictures of all bodies; null: it is not among them. */
@@ -320,10 +326,17 @@ export class AtlasPage {
       h('code', {}, shortOf(body.id))), this.links(this.genotype)));
   }
 
+  /** Larger bodies than those of the atlas may be better. */
+  #bound({ voxels: n }) {
+    const { voxels_max: most } = this.about;
+    return n === most ? ` (bodies of ${most + 1} voxels are not in this atlas)` : '';
+  }
+
   #sayChanges(body) {
     const better = body.best_changes.filter((one) => isLower(one, body)).length;
     say(this.changesWords, body.best_changes.length === 0 ? 'No body is one voxel away'
-      : better === 0 ? 'Nothing is better: add, remove or move any voxel, and it gets worse'
+      : better === 0 ? `Nothing is better: any voxel added, removed or moved makes it worse${
+        this.#bound(body)}`
         : `The best ${body.best_changes.length}: ${better === body.best_changes.length
           ? 'all better' : countOf(better, 'better one')}. Click one to go there.`);
     const { genotype } = this;
@@ -338,7 +351,7 @@ export class AtlasPage {
     const steps = way.bodies_on_path - 1;
     const bestOfAll = this.about.best;
     say(this.wayWords, steps === 0 ? 'This body is a local optimum: adding or removing a voxel ' +
-      'makes it worse' : `${countOf(steps, 'step')} of steepest ascent, by adding and removing ` +
+      `makes it worse${this.#bound(body)}` : `${countOf(steps, 'step')} of steepest ascent, by adding and removing ` +
       `voxels, to a local optimum${top.id === bestOfAll.id ? ': the best of all' : ''}`);
     // Each is turned like the one before, so that the eye follows the change.
     let like = this.genotype;
