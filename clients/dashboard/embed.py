@@ -72,12 +72,16 @@ def minify(esbuild: str, files: dict[str, bytes]) -> dict[str, bytes]:
 
 
 def dense(text: str) -> str:
-    """Removes spaces around signs in the shaders, which are template literals, so that esbuild
-    leaves them as they are. Minus stays apart: `- -1.0` is no decrement. A line of the
-    preprocessor stays, too."""
-    return re.sub(r"`[^`]*`", lambda shader: "\n".join(
-        line if line.startswith("#") else re.sub(r" *([=,;(){}*/<>?:+]) *", r"\1", line)
-        for line in shader[0].split("\n")), text)
+    """Removes spaces and ends of lines in the shaders, which are template literals, so that esbuild
+    leaves them as they are. `- -1.0` is no decrement, so those stay apart, as do lines of the
+    preprocessor."""
+    def without_spaces(shader: re.Match) -> str:
+        lines = [line if line.startswith("#") else re.sub(
+            r"(?<!-) - (?!-)", "-", re.sub(r" *([=,;(){}*/<>?:+&|]) *", r"\1", line))
+            for line in shader[0].split("\n")]
+        return re.sub(r"(?<=[;{},])\n(?!#)", "", "\n".join(lines))
+
+    return re.sub(r"`[^`]*`", without_spaces, text)
 
 
 def squeeze(esbuild: str, source: bytes) -> bytes:

@@ -153,9 +153,10 @@ const study = {
   waits: (job) => (job.state === 'queued' && job.reason ? 'waits for its client' : null),
 };
 
-/** It has no page of its own. @type {Kind} */
+/** Its page is that of the atlas. @type {Kind} */
 const atlas = {
   ...evaluation, name: 'Atlas', names: 'Atlases', path: 'jobs', kind: 'atlas', starts: false,
+  tabs: [], loses: 'its settings', score: () => null, environments: () => null,
   progress: ({ atlas: { bodies_done: done, bodies_total: all, progress } }) =>
     counted(done, all, 'bodies', progress.seconds_left),
   worlds: (job) => job.atlas.environments,
@@ -176,8 +177,8 @@ export const asJob = (kind, item) =>
   (kind === 'training' ? { ...item, trainingKind: item.kind, kind } : { ...item, kind });
 
 /** Returns the address of a job's page. */
-export const linkOf = (job, tab = '') =>
-  `#/${kindOf(job).path}/${job.id}${tab && `/${tab}`}`;
+export const linkOf = (job, tab = '') => (job.kind === 'atlas'
+  ? `#/atlas/${job.atlas?.name ?? ''}` : `#/${kindOf(job).path}/${job.id}${tab && `/${tab}`}`);
 
 /** Returns the path of a job as a resource of its kind. */
 export const pathOf = (job) => `v1/${kindOf(job).path}/${job.id}`;

@@ -5,7 +5,7 @@ import { Chart } from '../lib/chart.js';
 import { choice, h, patch, patchRow, say, table as tableOf, tile } from '../lib/dom.js';
 import { factsOf, knownFacts } from '../lib/facts.js';
 import { ago, bytes, count, duration, number, percent, score } from '../lib/format.js';
-import { linkOf, titleOf } from '../lib/kinds.js';
+import { kindOf, linkOf, pathOf, titleOf } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
 import { environmentsOfCampaign } from '../lib/rollouts.js';
 import { measureOf, meters, taskNameOf, worldsOfTraining } from '../lib/tasks.js';
@@ -119,7 +119,7 @@ export async function mount(main, path, parameters, app) {
 
   /** Loads the job with its phase, rate and time left, which the list omits. */
   async function whole(job) {
-    const full = await get(`v1/${job.kind}s/${job.id}`);
+    const full = await get(pathOf(job));
     return { ...full, kind: job.kind, about: await aboutOf(job.kind, full) };
   }
 
@@ -129,6 +129,7 @@ export async function mount(main, path, parameters, app) {
     if (kind === 'evaluation') {
       return job.suite ? `all tasks of ${job.suite.name}` : '';
     }
+    if (kind === 'atlas') return '';
     const environments = await environmentsOfCampaign(job);
     const name = taskNameOf(job.settings.environments, environments);
     const best = job.newest?.score.quantiles.p0 ?? null;
@@ -196,9 +197,8 @@ function linkTo({ type, job, data }, titles) {
   if (type.startsWith('fleet.')) return h('a', { href: '#/machines' }, data.name ?? 'machines');
   if (!job) return '';
   const kind = data.kind ?? type.split('.')[0];
-  const known = ['evaluation', 'training', 'campaign'].includes(kind);
   const name = titles.get(job) ?? `${kind} ${job}`;
-  return known ? h('a', { href: linkOf({ kind, id: job }) }, name) : `job ${job}`;
+  return kindOf({ kind }) ? h('a', { href: linkOf({ kind, id: job }) }, name) : `job ${job}`;
 }
 
 function detailOf({ type, data }) {

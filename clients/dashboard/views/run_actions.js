@@ -24,7 +24,8 @@ function sidesOf(selected) {
 
 /** Returns why jobs cannot be compared, or ''. */
 function whyNotCompared(sides) {
-  if (new Set(sides.map((job) => kindOf(job).path)).size > 1) {
+  if (new Set(sides.map((job) => kindOf(job).path)).size > 1 ||
+    sides.some((job) => !kindOf(job).tabs[0])) {
     return 'Only runs of the same kind can be compared';
   }
   return sides.length < 2 || sides.length > COMPARED_MAX + 1
