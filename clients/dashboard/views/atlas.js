@@ -1,14 +1,19 @@
-/** Atlases of the service: a list, or the page of one. */
+/** Atlases of the service: a list with those that are being built, or the page of one. */
 
 import { getJson } from '../lib/api.js';
-import { choice, fill, h, table } from '../lib/dom.js';
+import { choice, fill, h, patch, say, table } from '../lib/dom.js';
 import { bytes, count, score } from '../lib/format.js';
+import { isOpen, pathOf } from '../lib/kinds.js';
 import { roll } from '../lib/rollouts.js';
 import { AtlasHttp } from '../lib/atlas_http.js';
 import { AtlasCompare } from './atlas_compare.js';
 import { AtlasPage, startOf, taskTitle } from './atlas_page.js';
 import { AtlasWalk } from './atlas_walk.js';
 import { trayButton } from './add.js';
+import { JobParts } from './jobs.js';
+
+const POLL_MS = 2000;
+const JOBS = 50;
 
 /** The page has a sheet of its own, so that other pages do not load it. */
 function loadStyle() {
@@ -22,10 +27,11 @@ function loadStyle() {
 }
 
 export async function mount(main, [name], parameters, app) {
-  const [{ items, unreadable }] = await Promise.all([getJson('v1/atlases'), loadStyle()]);
-  if (!name) {
-    showList(main, items, unreadable);
-    return {};
+  const [{ items, unreadable }, jobs] = await Promise.all([getJson('v1/atlases'), builds(),
+    loadStyle()]);
+  const isBuilt = items.some((one) => one.name === name);
+  if (!name || (!isBuilt && jobs.some((job) => job.atlas.name === name))) {
+    return showList(main, { name, items, unreadable, jobs }, app);
   }
   const atlas = new AtlasHttp(name);
   const about = await atlas.about();
@@ -46,20 +52,83 @@ export async function mount(main, [name], parameters, app) {
       .filter((other) => other !== name)) : null,
   });
   fill(main, page.element);
-  app.setTitle(`Atlas ${name}`);
-  page.show(startOf(parameters, about), { isNew: false });
+  page.change(startOf(parameters, about));
   return { pick: (genotype) => page.change(genotype), unmount: () => page.destroy() };
 }
 
-function showList(main, items, unreadable) {
+/** Returns the jobs that build atlases and have not ended. */
+async function builds() {
+  const { items } = await getJson(`v1/jobs?kind=atlas&limit=${JOBS}`);
+  return Promise.all(items.filter(isOpen).map((job) => getJson(pathOf(job))));
+}
+
+/** Shows all atlases, and the builds in progress, or that of one atlas. */
+function showList(main, { name, items, unreadable, jobs: open }, app) {
+  const running = h('div.grid');
+  const list = h('div.stack');
+  const title = name ? `Atlas ${name}` : 'Atlases';
+  fill(main, h('h1', {}, title), name ? null : h('p.sentence', {}, 'An atlas has the score of ' +
+    'every body of at most ten voxels: draw one, and see where it stands.'), running, list);
+  app.setTitle(title);
+  let timer;
+  let isClosed = false;
+  const showBuilds = (jobs) => patch(running, jobs.filter((job) => !name ||
+    job.atlas.name === name), ({ id }) => id, () => buildCard(refresh),
+  (card, job) => card.show(job));
+  const showAll = (atlases, faulty) => fill(list, tableOf(atlases), faulty.map((one) =>
+    h('p.error', {}, `${one.name} cannot be read: ${one.reason}`)));
+
+  async function refresh() {
+    clearTimeout(timer);
+    try {
+      const [all, jobs] = await Promise.all([getJson('v1/atlases'), builds()]);
+      if (isClosed) return;
+      if (name && all.items.some((one) => one.name === name)) {
+        dispatchEvent(new HashChangeEvent('hashchange')); // now this address has a page
+        return;
+      }
+      showBuilds(jobs);
+      if (!name) showAll(all.items, all.unreadable);
+      if (jobs.length) timer = setTimeout(refresh, POLL_MS);
+    } catch {
+      if (!isClosed) timer = setTimeout(refresh, POLL_MS); // the banner says that it is down
+    }
+  }
+
+  showBuilds(open);
+  if (!name) showAll(items, unreadable);
+  if (open.length) timer = setTimeout(refresh, POLL_MS);
+  return {
+    update({ type }) {
+      if (type === 'reset' || type.startsWith('atlas') || type.startsWith('job')) refresh();
+    },
+    unmount() {
+      isClosed = true;
+      clearTimeout(timer);
+    },
+  };
+}
+
+function buildCard(changed) {
+  const parts = new JobParts(changed);
+  const title = h('h2');
+  const card = h('article.panel.stack', {}, h('div.title', {}, title, parts.chip), parts.bar,
+    parts.trouble, h('div.row', {}, parts.actions));
+  return Object.assign(card, { show(job) {
+    say(title, `Building ${job.atlas.name}`);
+    parts.update(job);
+  } });
+}
+
+function tableOf(items) {
+  if (!items.length) {
+    return h('p.empty', {}, 'There is no atlas yet. ',
+      h('code', {}, 'morphoctl atlas build --voxels 6 --task walk'), ' builds one.');
+  }
   const rows = items.map((one) => h('tr', {}, h('td.main', {},
     h('a', { href: `#/atlas/${encodeURIComponent(one.name)}` }, one.name)),
   [taskTitle(one.environments), count(one.bodies), `≤ ${one.voxels_max}`, one.orientations,
     score(one.best.score), bytes(one.bytes)].map((text, i) => h(i ? 'td.right' : 'td', {}, text))));
-  fill(main, h('h1', {}, 'Atlases'), h('p.sentence', {}, 'An atlas has the score of every body ' +
-    'of at most ten voxels: draw one, and see where it stands.'),
-  items.length ? table(['Name', 'Task', 'Bodies', 'Voxels', 'Orientations', 'Best score', 'Size'],
-    h('tbody', {}, rows), (_, i) => i > 1) : h('p.empty', {}, 'There is no atlas yet. ',
-    h('code', {}, 'morphoctl atlas build --voxels 8 --task walk'), ' makes one.'),
-  unreadable.map((one) => h('p.error', {}, `${one.name} cannot be read: ${one.reason}`)));
+  return table(['Name', 'Task', 'Bodies', 'Voxels', 'Orientations', 'Best score', 'Size'],
+    h('tbody', {}, rows), (_, i) => i > 1);
 }
