@@ -257,6 +257,28 @@ def test_the_page_of_a_service(service, browser, tmp_path):
     browser.until("/^It does not walk: /.test(document.querySelector('.walk-words').innerText)")
 
 
+def test_builds_are_shown(service, browser):
+    """In the list, and at the address of the atlas, which is its page once it is built."""
+    request = {"voxels": 6, "name": "slow", "physics": {"n_steps": 5000}}
+    id = service.post("/v1/atlases", request)["id"]
+    service.act(id, "pause")
+    for view in ("atlas", "atlas/slow"):
+        browser.open(view)
+        browser.until("document.querySelector('article h2')?.innerText === 'Building slow'")
+        assert "bodies" in browser.texts("article")[0]
+    assert browser.run(ACCESSIBILITY) == []
+    service.act(id, "cancel")
+    browser.until("!document.querySelector('article')")
+    quick = {"voxels": 2, "name": "quick", "orientations": "canonical", "physics": {"n_steps": 50}}
+    id = service.post("/v1/atlases", quick)["id"]
+    browser.open("runs?kind=atlas")
+    browser.until("[...document.querySelectorAll('.runs a')].some((e) => e.hash === '#/atlas/quick')")
+    browser.open("atlas/quick")
+    browser.until("document.querySelector('.better-than')", 300)
+    browser.until("document.title === 'Atlas quick · morphod'")
+    assert browser.faults() == []
+
+
 @pytest.mark.parametrize("bytes, words", [(b"", "not an atlas"), (None, "truncated")])
 def test_the_tool_refuses(answers, tmp_path, bytes, words):
     whole = answers["path"].read_bytes()

@@ -28,7 +28,7 @@ VIEWS = {
     "trainings/{training}/settings": "Training run {training}",
     "evaluations/{evaluation}": "Evaluation {evaluation}",
     "evaluations/{evaluation}/settings": "Evaluation {evaluation}",
-    "designs": "Designs", "controllers": "Controllers", "lab": "Lab",
+    "designs": "Designs", "controllers": "Controllers", "atlas": "Atlases", "lab": "Lab",
     "stage": "Stage", "machines": "Machines",
     "compare?designs={robots}": "Compare robots"
 }
