@@ -125,7 +125,8 @@ def test_a_stranger_finds_the_best_body_of_six_voxels(answers, site):
     """In at most three clicks, on a page that says what it is about."""
     visit(site)
     assert "All 24,135 robots of at most 8 voxels" in site.texts(".sentence")[0]
-    best = min((one for one in answers["items"] if one["voxels"] == 6), key=lambda one: one["score"])
+    best = min((one for one in answers["items"] if one["voxels"] == 6),
+               key=lambda one: one["score"])
     site.run("[...document.querySelectorAll('button.card')]"
              ".find((e) => e.innerText.includes('6 voxels')).click()")
     site.until("document.querySelector('.atlas-numbers').innerText.includes('1: the best')")
@@ -169,7 +170,8 @@ def test_all_can_use_it(site, theme):
         site.run("[...document.querySelectorAll('button')]"
                  ".find((e) => e.innerText.endsWith('theme')).click()")
     site.click("Find them")
-    site.until("document.querySelectorAll('[aria-label=\"Local optima\"] .card').length === 18", 300)
+    site.until("document.querySelectorAll('[aria-label=\"Local optima\"] .card').length === 18",
+               300)
     assert site.run(ACCESSIBILITY) == []
     text = site.run("return document.body.innerText")
     assert not any(word in text for word in ("null", "undefined", "NaN"))
@@ -272,7 +274,8 @@ def test_builds_are_shown(service, browser):
     quick = {"voxels": 2, "name": "quick", "orientations": "canonical", "physics": {"n_steps": 50}}
     id = service.post("/v1/atlases", quick)["id"]
     browser.open("runs?kind=atlas")
-    browser.until("[...document.querySelectorAll('.runs a')].some((e) => e.hash === '#/atlas/quick')")
+    browser.until("[...document.querySelectorAll('.runs a')]"
+                  ".some((e) => e.hash === '#/atlas/quick')")
     browser.open("atlas/quick")
     browser.until("document.querySelector('.better-than')", 300)
     browser.until("document.title === 'Atlas quick · morphod'")

@@ -324,7 +324,8 @@ export class AtlasFile {
 
   // ---- ranks ----
 
-  /** Counts the bodies of a size (0: all) with a lower score or, orEqual, one that is not higher. */
+  /** Counts the bodies of a size (0: all) with a lower score or, with orEqual, one that is not
+   * higher. */
   #count(size, score, orEqual) {
     const sorted = this.sorted[size];
     let [low, high] = [0, sorted.length];
@@ -355,8 +356,8 @@ export class AtlasFile {
     return {
       id: genotype.match(/.{4}/g).map((four) => parseInt(four, 2).toString(16)).join(''),
       voxels: this.sizeOf(position), genotype, position,
-      score: Number.isFinite(score) ? score : null, diverged: !Number.isFinite(score),
-      rank, percentile,
+      score: Number.isFinite(score) ? score : null, diverged: !Number.isFinite(score), rank,
+      percentile,
     };
   }
 
@@ -377,7 +378,8 @@ export class AtlasFile {
   async about() {
     return {
       name: this.name, voxels_max: this.voxelsMax, orientations: this.orientations,
-      controller: this.controller, physics: this.physics, environments: this.environments, bodies: this.n,
+      controller: this.controller, physics: this.physics, environments: this.environments,
+      bodies: this.n,
       best: this.#bodyAt(this.sorted[0][0]),
       sizes: this.sorted.slice(1, this.voxelsMax + 1).map((sorted, i) => ({
         voxels: i + 1, bodies: sorted.length, best: this.#bodyAt(sorted[0]),
@@ -422,7 +424,8 @@ export class AtlasFile {
         .map((position) => this.#bodyAt(position)) };
   }
 
-  /** Counts the bodies of each size by score: counts[size − 1][bin], edge i ≤ score < edge i + 1. */
+  /** Counts the bodies of each size by score: counts[size − 1][i] have edge i ≤ score < edge
+   * i + 1. */
   async histogram({ bins = 64, lo = NaN, hi = NaN } = {}) {
     const all = this.sorted[0];
     const from = !Number.isNaN(lo) ? lo : this.scores[all[0]];

@@ -46,7 +46,9 @@ async function show() {
       `as the canonical form stands: loss ${score(robot.loss)}` };
   });
   const theme = button('', () => setTheme(app.theme === 'dark' ? 'light' : 'dark'));
-  const nameTheme = () => { theme.textContent = `${app.theme === 'dark' ? 'Light' : 'Dark'} theme`; };
+  const nameTheme = () => {
+    theme.textContent = app.theme === 'dark' ? 'Light theme' : 'Dark theme';
+  };
   app.themeListeners.add(nameTheme);
   nameTheme();
   const page = new AtlasPage(atlas, about, { app, walker, others: theme });

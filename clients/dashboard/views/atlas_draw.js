@@ -26,7 +26,9 @@ export class AtlasDraw {
     /** The body, and the drawing, which is ahead of it during a stroke. */
     this.body = '';
     this.genotype = '';
-    const edit = { paint: (...how) => this.#paint(...how), commit: () => this.change(this.genotype) };
+    const edit = {
+      paint: (...how) => this.#paint(...how), commit: () => this.change(this.genotype),
+    };
     this.cells = new Cells(edit);
     this.shape = new Shape(edit);
     this.undo = button('Undo', () => this.#step(this.past, this.future), { title: 'Ctrl+Z' });
