@@ -16,9 +16,10 @@ import time
 SOURCE = pathlib.Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(SOURCE / "tests" / "browser"), str(SOURCE / "tests" / "api")]
 
-from browser import Browser  # noqa: E402
+from browser import SITE, Browser  # noqa: E402
 from dashboard_data import N_JOBS, Filled  # noqa: E402
 from dashboard_streams import daemon_share  # noqa: E402
+from service import await_end  # noqa: E402
 
 RUNS = 7
 # Times from the start of the navigation to the first drawing of a page: robots on a stage, the
@@ -72,19 +73,22 @@ class Page(Browser):
 # ---- measurements: each yields (what, measured, unit, bound or None) ----
 
 def assets(data, _):
-    """The bytes that a visit to every page would transfer."""
+    """The bytes that a visit to every page would transfer, and those of the page of an atlas."""
     folder = SOURCE / "clients" / "dashboard"
     names = [file.relative_to(folder).as_posix() for kind in ("js", "css", "svg")
              for file in folder.rglob("*." + kind)]
+    names = [name for name in names if name not in SITE]
     page = data.service.request("GET", "/", headers={"Accept-Encoding": "gzip"})
     text = data.service.request("GET", "/").body.decode()
     root = "/" + text.split('type="module" src="')[1].split("app.js")[0]
-    sizes = [len(page.body)]
+    sizes = {"index.html": len(page.body)}
     for name in names:
         reply = data.service.request("GET", root + name, headers={"Accept-Encoding": "gzip"})
         assert reply.status == 200, name
-        sizes.append(len(reply.body))
-    yield "all files, gzipped", sum(sizes) / 1e3, "kB", 170
+        sizes[name] = len(reply.body)
+    own = sum(size for name, size in sizes.items() if "atlas" in name)
+    yield "all files but those of the atlas, gzipped", (sum(sizes.values()) - own) / 1e3, "kB", 170
+    yield "the page of an atlas, gzipped", own / 1e3, "kB", 24
 
 
 def overview(_, page):
@@ -147,6 +151,33 @@ def lab(_, page):
     moved, scored = (statistics.median(column) for column in zip(*times))
     yield "Lab, click to motion", moved, "ms", 150
     yield "Lab, score over ten environments", scored, "ms", 400
+
+
+STEP = """
+return await new Promise((resolve) => {
+  const seen = {};
+  new PerformanceObserver((list, observer) => {
+    for (const { name, duration } of list.getEntries()) seen[name.split('-').at(-1)] = duration;
+    if (!seen.numbers || !seen.motion) return;
+    observer.disconnect();
+    resolve([seen.numbers, seen.motion]);
+  }).observe({ type: 'measure' });
+  document.querySelectorAll('.sizes .card, [aria-label="One voxel from here"] .card')
+    [arguments[0]].click();
+});
+"""
+
+
+def atlas(data, page):
+    """Clicks on small robots, each of which becomes the body."""
+    request = {"name": "five", "voxels": 5, "orientations": "canonical"}
+    await_end(data.service, f"/v1/jobs/{data.service.post('/v1/atlases', request)['id']}", 600)
+    page.load("atlas/five", "firstPicture()")
+    page.until("document.querySelectorAll('.strip .card').length > 12")
+    times = [page.script(STEP, card) for card in (4, 6, 2, 5, 1, 7, 0, 6, 3, 8)]
+    numbers, moved = (statistics.median(column) for column in zip(*times))
+    yield "atlas, click to numbers", numbers, "ms", 50
+    yield "atlas, click to motion", moved, "ms", 150
 
 
 MILLION = """
@@ -287,7 +318,7 @@ def streams(data, page):
 
 
 MEASURES = {function.__name__: function for function in
-            (assets, overview, home, stage, lab, chart, many_robots, streams, jobs, phylogeny)}
+            (assets, overview, home, stage, lab, atlas, chart, many_robots, streams, jobs, phylogeny)}
 
 
 def main():

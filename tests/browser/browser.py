@@ -15,6 +15,8 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "api"))
 
 FLAGS = ("--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
          "--ignore-gpu-blocklist", "--hide-scrollbars", "--disable-dev-shm-usage")
+# Modules of static sites, which the service does not have.
+SITE = {"site/site.js", "lib/atlas_file.js"}
 # Faults that a page must not have: console messages, and violations of its policy.
 WATCH = """
 window.faults = [];

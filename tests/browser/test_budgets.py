@@ -3,11 +3,10 @@ measures the others."""
 
 import pytest
 
+from browser import SITE
 from contract import SOURCE
 
 FOLDER = SOURCE / "clients" / "dashboard"
-# Modules of static sites, which the service does not have.
-SITE = {"site/site.js", "lib/atlas_file.js"}
 
 
 def test_all_files_together_are_small(service):

@@ -40,6 +40,7 @@ export class AtlasWalk {
     this.stop = new AbortController();
     const { signal } = this.stop;
     let found;
+    this.player.hold(true);
     try {
       found = await this.rollOf(genotype, id, signal);
     } catch (error) {
@@ -51,6 +52,7 @@ export class AtlasWalk {
     this.element.classList.toggle('still', !robot);
     this.player.setNote(robot ? '' : 'It stands still');
     say(this.words, words);
+    await new Promise(requestAnimationFrame); // it is drawn first
     if (robot) performance.measure('morphod-atlas-click-to-motion', { start: started });
   }
 
