@@ -318,7 +318,8 @@ def streams(data, page):
 
 
 MEASURES = {function.__name__: function for function in
-            (assets, overview, home, stage, lab, atlas, chart, many_robots, streams, jobs, phylogeny)}
+            (assets, overview, home, stage, lab, atlas, chart, many_robots, streams, jobs,
+             phylogeny)}
 
 
 def main():
