@@ -184,7 +184,8 @@ export const linkOf = (job, tab = '') => (job.kind === 'atlas'
 export const pathOf = (job) => `v1/${kindOf(job).path}/${job.id}`;
 
 /** Describes a job in a few words. */
-export const titleOf = (job) => job.label || `${kindOf(job).name} ${job.id}`;
+export const titleOf = (job) =>
+  job.label || `${kindOf(job).name} ${job.atlas?.name ?? job.id}`;
 
 /** Returns the group of replicates that a job is in, if it is in one. */
 export const groupOf = (job) => partOf(job).group ?? null;
