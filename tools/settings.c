@@ -31,8 +31,9 @@ static const struct {
 };
 
 /* Settings whose options are written by hand, because of their values. */
-static const char *const by_hand[] = {"workspace", "exclude_pretraining", "schedule.kind",
-                                      "learning.schedule.kind"};
+static const char *const by_hand[] = {"workspace",     "exclude_pretraining",
+                                      "schedule.kind", "learning.schedule.kind",
+                                      "vary",          "learning.vary"};
 
 /* The defaults of one kind of job: one settings struct for each preset or mode. */
 struct kind {

@@ -21,7 +21,8 @@ enum status {
   STATUS_INTERRUPTED = 130
 };
 
-enum field_kind { FIELD_WORD, FIELD_WHOLE, FIELD_REAL }; /* default: a word */
+/* Default: a word. FIELD_RANGES: NAME=LOW:HIGH, can be repeated. */
+enum field_kind { FIELD_WORD, FIELD_WHOLE, FIELD_REAL, FIELD_RANGES };
 
 struct option_spec {
   const char *name;  /* without dashes; NULL ends a list */

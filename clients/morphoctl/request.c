@@ -51,12 +51,41 @@ static void fill_place(json_t *request, const char *place, json_t *value)
   json_object_set_new(object, place, value);
 }
 
+/* Reads "NAME=LOW:HIGH". The service checks the name and the bounds. */
+static void fill_range(const struct option_spec *spec, const char *text, json_t *ranges)
+{
+  const char *equals = strchr(text, '='), *colon = equals != NULL ? strchr(equals, ':') : NULL;
+  json_t *low, *high;
+  if (colon == NULL || equals == text)
+    fail(STATUS_USAGE, "--%s: \"%s\" is not %s", spec->name, text, spec->value);
+  low = field_value(FIELD_REAL, keep(format_text("%.*s", (int)(colon - equals - 1), equals + 1)));
+  high = field_value(FIELD_REAL, colon + 1);
+  if (low == NULL || high == NULL)
+    fail(STATUS_USAGE, "--%s: \"%s\" is not a range LOW:HIGH of two numbers", spec->name,
+         equals + 1);
+  json_object_set_new(ranges, keep(format_text("%.*s", (int)(equals - text), text)),
+                      json_pack("[o, o]", low, high));
+}
+
+static json_t *ranges_of(const struct ctl *ctl, const struct option_spec *spec)
+{
+  json_t *ranges = json_object();
+  for (size_t i = 0; i < ctl->n_given; i++)
+    if (strcmp(ctl->given[i].name, spec->name) == 0)
+      fill_range(spec, ctl->given[i].value, ranges);
+  return ranges;
+}
+
 static void fill_fields(const struct ctl *ctl, json_t *request)
 {
   for (const struct option_spec *spec = ctl->command->options; spec->name != NULL; spec++) {
     const char *text = spec->place != NULL ? option_text(ctl, spec->name, NULL) : NULL;
     if (text == NULL)
       continue;
+    if (spec->kind == FIELD_RANGES) {
+      fill_place(request, spec->place, ranges_of(ctl, spec));
+      continue;
+    }
     json_t *value = field_value(spec->kind, text);
     if (value == NULL)
       fail(STATUS_USAGE, "--%s: \"%s\" is not a %s", spec->name, text, field_kind_name(spec->kind));
@@ -249,14 +278,15 @@ static void fill_environments(const struct ctl *ctl, json_t *request)
   if (json == NULL)
     fail(STATUS_USAGE, "%s:%d: %s", name, error.line, error.text);
   keep(json);
-  json_t *list = json_is_object(json) ? json_object_get(json, "environments") : json;
+  const bool varies = json_object_get(json, "vary") != NULL;
+  json_t *list = json_is_object(json) && !varies ? json_object_get(json, "environments") : json;
   if (list == NULL &&
       (json_object_get(json, "light_xy_m") != NULL || json_object_get(json, "task") != NULL))
     list = keep(json_pack("[O]", json));
-  if (!json_is_array(list) && !json_is_string(list))
+  if (!json_is_array(list) && !json_is_string(list) && !varies)
     fail(STATUS_USAGE,
          "%s is not a list of environments: [{\"light_xy_m\": [x, y], \"terrain_heights_m\": […]}, "
-         "{\"task\": \"walk\"}, …]",
+         "{\"task\": \"walk\"}, …], or {\"of\": …, \"vary\": {\"friction\": [0.5, 1.5]}}",
          name);
   json_object_set(request, "environments", list);
 }

@@ -27,6 +27,11 @@
 #define KEY(job)                                                                                   \
   "idempotency-key", 0, "KEY",                                                                     \
       "A repeated request with the same key returns the same " job " (default: a new key)."
+#define VARY(place)                                                                                \
+  "vary", 0, "FACTOR=LOW:HIGH",                                                                    \
+      "Learn in worlds with factors drawn from a range, e.g. friction=0.5:1.2; FACTOR: "           \
+      "stiffness, mass, drag, gravity, actuation or friction; can be repeated.",                   \
+      place, FIELD_RANGES
 /* Options of films: how they are drawn; and options for the film of an evaluation. */
 #define LOOK                                                                                       \
   {"size", 0, "WxH", "Pixels of the film or picture (default: 960x540)."},                         \
@@ -243,7 +248,8 @@ static const struct option_spec train_start_options[] = {
     {"tasks", 0, "TASK,...",
      "Learn these tasks in random terrains: photo, photo-auc, walk, climb, circle, path, shuttle, "
      "pursue (default: photo)."},
-    TRAINING_OPTIONS{PHYSICS},
+    TRAINING_OPTIONS{VARY("vary")},
+    {PHYSICS},
     {"validate-every", 0, "STEPS",
      "Score the held-out set every STEPS steps; 0: never (default: 50).", "validation.every_steps",
      FIELD_WHOLE},
@@ -324,8 +330,9 @@ static const struct option_spec campaign_start_options[] = {
                      "learning.checkpoint_every_s", FIELD_WHOLE},
     {"worlds", 0, "random|environments",
      "Where robots learn: in random environments, or in those of the campaign (default if any has "
-     "a task, damage, or a terrain other than rough or flat).",
+     "a task, damage, factors, or a terrain other than rough or flat).",
      "learning.worlds"},
+    {VARY("learning.vary")},
     {PHYSICS},
     {"name", 0, "NAME",
      "Name of the controller that a learning campaign produces (default: campaign- and the id).",

@@ -83,6 +83,9 @@ struct mo_learning {
   double beta1, beta2, epsilon;        /* Adam: 0.9, 0.999, 1e-8 */
   double norm_limit;                   /* limit of the batch gradient's global L2 norm; 1; 0: off */
   struct mo_gradient_options gradient; /* the defaults; weight 0: the mean over the batch */
+  struct mo_factor_ranges vary; /* the world of each robot of a step is multiplied by factors from
+                                   here (mo_factors_draw with the training's seed and the step);
+                                   worlds of validations are not. Default: none varies */
 };
 
 /* The defaults above, with a schedule. */

@@ -34,7 +34,8 @@ enum mo_purpose {
   MO_PURPOSE_AUDIT = 15,          /* selects the leases that are computed twice */
   MO_PURPOSE_PROFILE = 16,        /* terrain profiles of random families; step: the family */
   MO_PURPOSE_SUITE = 17,          /* worlds of morpho-12; step: the task */
-  MO_PURPOSE_TRAINING_WORLD = 18  /* which of its own environments a robot of a training gets */
+  MO_PURPOSE_TRAINING_WORLD = 18, /* which of its own environments a robot of a training gets */
+  MO_PURPOSE_FACTORS = 19         /* factors of environments; index: the number of the factor */
 };
 
 struct mo_random {

@@ -84,6 +84,10 @@ struct mo_physics mo_default_physics(void);
 struct mo_physics mo_paper_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message names the field and its bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);
+/* The same with the constants that an environment's factors make of them, times any factors from
+ * `vary`. environment, vary: nullable. */
+int mo_physics_check_in(const struct mo_physics *physics, const struct mo_environment *environment,
+                        const struct mo_factor_ranges *vary, struct mo_message *message);
 
 /* Returns the largest time step at which the springs of a body, linearized about rest, are stable
  * with this stiffness, mass, drag and integrator. eigenvalue: the largest one of the body's

@@ -54,7 +54,7 @@ struct mo_state {
   uint32_t step; /* steps since the start; 0: the rollout diverged, and cannot go on */
   enum mo_precision precision; /* of the rollout */
   /* The first bytes of hashes. The first two must stay: of the physics except for n_steps and
-   * drop_height_m, and of the terrain. */
+   * drop_height_m, and of the terrain with the factors. */
   uint8_t physics_key[MO_STATE_KEY_BYTES], terrain_key[MO_STATE_KEY_BYTES];
   uint8_t task_key[MO_STATE_KEY_BYTES];
   /* One allocation, of mo_state_create. */

@@ -13,6 +13,7 @@
 #ifndef MORPHO_WORLD_H
 #define MORPHO_WORLD_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -64,6 +65,40 @@ struct mo_terrain_grid {
   double heights_m[]; /* (rows, columns); no −0 */
 };
 
+/* How the physics of a world differs from that of the request: its constants are multiplied by
+ * these. */
+struct mo_factors {
+  uint32_t given;   /* 0: all are 1, and the numbers below are 0; 1: at least one is not 1 */
+  double stiffness; /* of springs; MO_FACTOR_MIN … MO_FACTOR_MAX, like mass */
+  double mass;      /* of nodes */
+  double drag;      /* 0 … MO_FACTOR_MAX, like the others */
+  double gravity;
+  double actuation;
+  double friction; /* not of its cap */
+};
+#define MO_FACTOR_MIN 0.01
+#define MO_FACTOR_MAX 100.0
+/* All factors are 1, and are given. */
+struct mo_factors mo_factors_ones(void);
+
+/* Ranges of factors to draw from, each {lowest, highest}; {1, 1}: it does not vary. */
+struct mo_factor_ranges {
+  bool given; /* false: all are {1, 1} */
+  double stiffness[2], mass[2], drag[2], gravity[2], actuation[2], friction[2];
+};
+struct mo_factor_ranges mo_factors_constant(void); /* no factor varies */
+/* MO_ERR_INVALID or MO_ERR_RANGE; above: the struct's name in messages. */
+int mo_factor_ranges_check(const char *above, const struct mo_factor_ranges *ranges,
+                           struct mo_message *message);
+/* Draws n factors by Latin hypercube sampling: each factor's range is divided into n parts of equal
+ * length, from each of which one number is drawn, uniformly, and the parts of different factors are
+ * paired at random. Streams (seed, FACTORS, step, number of the factor). Equal inputs, equal bits.
+ * MO_ERR_NO_MEMORY. */
+int mo_factors_draw(const struct mo_factor_ranges *ranges, uint64_t seed, uint32_t step, uint32_t n,
+                    struct mo_factors *factors);
+/* Returns the products of two sets of factors. */
+struct mo_factors mo_factors_times(const struct mo_factors *a, const struct mo_factors *b);
+
 struct mo_environment {
   double light_xy_m[2];
   double terrain_heights_m[MO_TERRAIN_HEIGHTS]; /* those that a profile does not have are 0, and all
@@ -73,6 +108,7 @@ struct mo_environment {
                                MO_PROFILE_HEIGHTS_MIN … MO_TERRAIN_HEIGHTS */
   double profile_spacing_m; /* of a profile: MO_PROFILE_SPACING_MIN_M … MAX_M; of a grid: 0 */
   struct mo_damage damage;
+  struct mo_factors factors;
   const struct mo_terrain_grid *grid; /* nullable: the terrain is a custom grid. A copy of the
                                          struct borrows it; see mo_terrain_grid_hold */
 };
@@ -103,10 +139,12 @@ double mo_terrain_highest(const struct mo_environment *environment);
  * that a profile does not have is not 0) or MO_ERR_RANGE; *where (nullable): 0 and 1 for the
  * light's coordinates, 2 + k for height k, MO_ENVIRONMENT_TASK for the task, for which
  * mo_task_check has a message, MO_ENVIRONMENT_PROFILE for n_profile and profile_spacing_m (also
- * if both a profile and a custom grid are set), and MO_ENVIRONMENT_DAMAGE for the damage. */
+ * if both a profile and a custom grid are set), MO_ENVIRONMENT_DAMAGE for the damage, and
+ * MO_ENVIRONMENT_FACTORS for the factors (also if all are 1 but given). */
 #define MO_ENVIRONMENT_TASK    (2 + MO_TERRAIN_HEIGHTS)
 #define MO_ENVIRONMENT_PROFILE (3 + MO_TERRAIN_HEIGHTS)
 #define MO_ENVIRONMENT_DAMAGE  (4 + MO_TERRAIN_HEIGHTS)
+#define MO_ENVIRONMENT_FACTORS (5 + MO_TERRAIN_HEIGHTS)
 int mo_environment_check(const struct mo_environment *environment, uint32_t *where);
 
 /* Draws heights from N(0, σ), shifted so that the lowest is MO_TERRAIN_FLOOR_M; stream (seed,

@@ -325,7 +325,8 @@ static void check_learning(struct mo_json *json, const struct mo_campaign_settin
 }
 
 /* Returns where robots learn by default: in the environments of the campaign if one of them has a
- * task, damage, or a terrain other than rough or flat, which random environments do not have. */
+ * task, damage, factors, or a terrain other than rough or flat, which random environments do not
+ * have. */
 static enum mo_worlds usual_worlds(struct mo_parts *parts)
 {
   const struct mo_environment *environments = parts->environments;
@@ -392,6 +393,8 @@ static int check(struct mo_json *json, void *any)
                      (unsigned long long)MO_CAMPAIGN_DESIGNS_MAX);
   if (mo_modes[settings->mode].learns)
     check_learning(json, settings);
+  mo_parts_check_factors(json, &parsed->parts, &settings->physics,
+                         mo_modes[settings->mode].learns ? &settings->learning.vary : NULL);
   choose_worlds(json, parsed);
   if (settings->seed + record->replicates - 1 > (uint64_t)MO_SEED_MAX)
     mo_json_fault_at(json, 0, "/seed",

@@ -252,6 +252,8 @@ static int check(struct mo_json *json, void *any)
   struct mo_message message;
   if (mo_physics_check(&request->physics, &message) == MO_ERR_RANGE)
     mo_json_fault_at(json, 0, "/physics", "%s", message.text);
+  else
+    mo_parts_check_factors(json, &parsed->parts, &request->physics, NULL);
   if (!parsed->parts.has_designs && !parsed->parts.has_random)
     mo_json_fault_at(json, 0, "",
                      "designs is missing; give an array of 1 to %d designs, or random with the "

@@ -11,6 +11,7 @@
 #include "jobs/evaluations.h"
 #include "store/store.h"
 #include "world/environment.h"
+#include "world/factors.h"
 #include "world/task_json.h"
 
 #define LABEL_MAX      (MO_LABEL_BYTES_MAX / 4) /* characters */
@@ -123,10 +124,10 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
       given.seed = true;
       mo_json_integer(json, 0, MO_SEED_MAX, &seed);
     } else if (!mo_environment_read_member(json, key, environment)) {
-      mo_fields_unknown(
-          json,
-          "task, damage, light_xy_m, and terrain, terrain_heights_m or terrain_sigma_m with seed",
-          NULL);
+      mo_fields_unknown(json,
+                        "task, damage, factors, light_xy_m, and terrain, terrain_heights_m or "
+                        "terrain_sigma_m with seed",
+                        NULL);
     }
   }
   if (json->stop)
@@ -222,6 +223,86 @@ static void read_list(struct mo_json *json, const char *what,
   parts->n_environments = n < MO_ENVIRONMENTS_MAX ? n : MO_ENVIRONMENTS_MAX;
 }
 
+/* What multiplies the environments of a request. */
+struct variation {
+  struct mo_factor_ranges ranges;
+  int64_t count, seed; /* count 0: as many as there are environments to vary */
+};
+
+/* Sets varied (MO_ENVIRONMENTS_MAX, empty) to `count` of the environments in turn, times factors
+ * drawn from the ranges, and replaces the environments by them. */
+static int vary(struct mo_parts *parts, const struct variation *by, struct mo_environment *varied)
+{
+  struct mo_factors factors[MO_ENVIRONMENTS_MAX];
+  uint32_t n_base = parts->n_environments;
+  if (parts->environments != NULL)
+    memcpy(varied, parts->environments, n_base * sizeof(*varied));
+  else
+    n_base = mo_environment_set(mo_word_index(mo_set_words, mo_parts_set(parts)), varied);
+  const uint32_t n = by->count > 0 ? (uint32_t)by->count : n_base;
+  const int error = mo_factors_draw(&by->ranges, (uint64_t)by->seed, 0, n, factors);
+  if (error != MO_OK)
+    return error;
+  for (uint32_t i = n_base; i < n; i++)
+    varied[i] = varied[i - n_base];
+  for (uint32_t i = 0; i < n; i++)
+    varied[i].factors = mo_factors_times(&varied[i].factors, &factors[i]);
+  if (n < n_base)
+    memset(varied + n, 0, (n_base - n) * sizeof(*varied));
+  mo_environments_hold(varied, n);
+  mo_environments_free(parts->environments, MO_ENVIRONMENTS_MAX);
+  parts->environments = varied;
+  parts->n_environments = n;
+  parts->environment_set = NULL;
+  return MO_OK;
+}
+
+static void read_environments(struct mo_json *json, void *value);
+
+/* {"of": a set or a list, "vary": ranges, "count", "seed"} */
+static void read_variation(struct mo_json *json, struct mo_parts *parts)
+{
+  const unsigned depth = json->depth, before = json->faults->n;
+  struct variation by = {.ranges = mo_factors_constant(), .seed = 1};
+  const bool takes_suites = parts->takes_suites;
+  struct mo_message message;
+  struct mo_json_slice key;
+  parts->takes_suites = false;
+  mo_json_object(json);
+  while (mo_json_member(json, &key)) {
+    if (mo_json_is(key, "of") && mo_json_peek(json) == MO_JSON_OBJECT) {
+      mo_json_fault(json, "must be the name of a set or an array of environments");
+      mo_json_skip(json);
+    } else if (mo_json_is(key, "of")) {
+      read_environments(json, parts);
+    } else if (mo_json_is(key, "vary")) {
+      by.ranges.given = true;
+      mo_fields_read(json, &mo_factor_range_fields, &by.ranges);
+    } else if (mo_json_is(key, "count")) {
+      mo_json_integer(json, 1, MO_ENVIRONMENTS_MAX, &by.count);
+    } else if (mo_json_is(key, "seed")) {
+      mo_json_integer(json, 0, MO_SEED_MAX, &by.seed);
+    } else {
+      mo_fields_unknown(json, "of, vary, count and seed", NULL);
+    }
+  }
+  parts->takes_suites = takes_suites;
+  if (json->stop || json->faults->n > before)
+    return;
+  if (!by.ranges.given)
+    mo_json_fault_at(json, depth, "", "vary is missing: {\"friction\": [0.5, 1.2], …}");
+  else if (mo_factor_ranges_check("vary", &by.ranges, &message) != MO_OK)
+    mo_json_fault_at(json, depth, "/vary", "%s", message.text);
+  else {
+    struct mo_environment *varied = calloc(MO_ENVIRONMENTS_MAX, sizeof(*varied));
+    if (varied != NULL && vary(parts, &by, varied) == MO_OK)
+      return;
+    free(varied);
+    parts->error = MO_ERR_NO_MEMORY;
+    json->stop = true;
+  }
+}
+
 static void read_environments(struct mo_json *json, void *value)
 {
   struct mo_parts *parts = value;
@@ -231,14 +312,18 @@ static void read_environments(struct mo_json *json, void *value)
     read_set(json, parts);
     return;
   }
+  if (kind == MO_JSON_OBJECT && !parts->only_named) {
+    read_variation(json, parts);
+    return;
+  }
   if (parts->only_named || kind != MO_JSON_ARRAY) {
     if (parts->only_named)
       mo_json_fault(json, "must be the name of a set or suite, such as \"morpho-12\"; to score "
                           "designs in listed environments, submit them to POST /v1/evaluations");
     else
       mo_json_fault(json,
-                    "must be the name of a set, such as \"paper-test\", or an array of 1 to %d "
-                    "environments",
+                    "must be the name of a set, such as \"paper-test\", an array of 1 to %d "
+                    "environments, or an object that varies either: {\"of\", \"vary\", …}",
                     MO_ENVIRONMENTS_MAX);
     mo_json_skip(json);
     return;
@@ -470,6 +555,21 @@ void mo_parts_check_gradients(struct mo_json *json, const struct mo_parts *parts
     else
       snprintf(pointer, sizeof(pointer), "/environments/%u/task/objective", i);
     mo_json_fault_at(json, 0, pointer, "%s%s", message.text, hint);
+  }
+}
+
+void mo_parts_check_factors(struct mo_json *json, const struct mo_parts *parts,
+                            const struct mo_physics *physics, const struct mo_factor_ranges *vary)
+{
+  for (uint32_t i = 0; parts->environments != NULL && i < parts->n_environments; i++) {
+    const struct mo_environment *environment = &parts->environments[i];
+    struct mo_message message;
+    char pointer[64];
+    if (environment->factors.given == 0 ||
+        mo_physics_check_in(physics, environment, vary, &message) == MO_OK)
+      continue;
+    snprintf(pointer, sizeof(pointer), "/environments/%u/factors", i);
+    mo_json_fault_at(json, 0, pointer, "make constants that are out of range: %s", message.text);
   }
 }
 

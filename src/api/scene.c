@@ -398,6 +398,9 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
   const uint32_t n = rollouts->n_environments;
   struct mo_sha256 physics;
   struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX];
+  uint32_t n_warnings = mo_warn_of_physics(&rollouts->physics, warnings);
+  for (uint32_t k = 0; k < n && n_warnings == 0; k++)
+    n_warnings = mo_warn_of_world(&rollouts->physics, &rollouts->environments[k], k, warnings);
   mo_physics_hash(&rollouts->physics, rollouts->precision, rollouts->sensor, &physics);
   mo_text_object(text);
   mo_member_hash(text, "controller", &rollouts->controller);
@@ -405,7 +408,7 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
   mo_text_name(text, "physics");
   mo_fields_write_object(text, &mo_physics_fields, &rollouts->physics);
   mo_text_member(text, "precision", rollouts->precision == MO_FLOAT64 ? "float64" : "float32");
-  mo_member_warnings(text, warnings, mo_warn_of_physics(&rollouts->physics, warnings));
+  mo_member_warnings(text, warnings, n_warnings);
   if (arrays != NULL)
     mo_text_member_number(text, "frame_s",
                           rollouts->rollouts[0].recording.stride * rollouts->physics.scheme.dt_s);

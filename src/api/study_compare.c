@@ -10,6 +10,7 @@
 #include "api/requests.h"
 #include "store/fields.h"
 #include "world/environment.h"
+#include "world/factors.h"
 #include "world/task_json.h"
 
 #define VALUE_SHOWN 88 /* bytes of a value in a message */
@@ -134,6 +135,26 @@ static void compare_damage(struct comparison *comparison, uint32_t place,
     add(comparison, pointer, a, b);
 }
 
+static void compare_factors(struct comparison *comparison, uint32_t place,
+                            const struct mo_environment *given, const struct mo_environment *known)
+{
+  const struct mo_factors ones = mo_factors_ones();
+  const struct mo_factors *ours = given->factors.given ? &given->factors : &ones;
+  const struct mo_factors *theirs = known->factors.given ? &known->factors : &ones;
+  for (size_t i = 0; i < mo_factor_fields.n; i++) {
+    const struct mo_field *row = &mo_factor_fields.rows[i];
+    char pointer[64], a[VALUE_SHOWN], b[VALUE_SHOWN];
+    const double *x = (const void *)((const char *)ours + row->offset);
+    const double *y = (const void *)((const char *)theirs + row->offset);
+    if (*x == *y)
+      continue;
+    snprintf(pointer, sizeof(pointer), "/environments/%u/factors/%s", place, row->name);
+    show(x, 1, a);
+    show(y, 1, b);
+    add(comparison, pointer, a, b);
+  }
+}
+
 static void describe_terrain(const struct mo_environment *environment, char text[VALUE_SHOWN])
 {
   const struct mo_terrain_grid *grid = environment->grid;
@@ -193,6 +214,7 @@ static void compare_environment(struct comparison *comparison, uint32_t place,
   }
   compare_tasks(comparison, place, given, known);
   compare_damage(comparison, place, given, known);
+  compare_factors(comparison, place, given, known);
 }
 
 static void compare_environments(struct comparison *comparison, const struct mo_parts *parts,

@@ -112,6 +112,7 @@ static int check(struct mo_json *json, void *any)
     mo_json_fault_at(json, 0, "/validation/environments",
                      "must be left out, because a training with environments of its own is "
                      "validated in all of them");
+  mo_parts_check_factors(json, parts, &settings->physics, &settings->learning.vary);
   mo_parts_check_gradients(json, parts, "");
   if (!parsed->has_kind)
     mo_json_fault_at(json, 0, "", "kind is missing; it must be \"pretrain\" or \"finetune\"");

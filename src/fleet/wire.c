@@ -306,7 +306,12 @@ static int get_environments(struct codec *codec, struct mo_wire_lease *lease, un
     struct mo_environment *environment = &lease->environments[e];
     uint32_t where = 0;
     error = get_environment(codec, version, environment, i, message);
-    if (error != MO_OK || mo_environment_check(environment, &where) == MO_OK)
+    if (error == MO_OK && mo_environment_check(environment, &where) == MO_OK) {
+      if (mo_physics_check_in(&lease->physics, environment, NULL, &why) != MO_OK)
+        error = mo_fail(message, MO_ERR_FORMAT, "lease %u, environment %u: %s", i, e, why.text);
+      continue;
+    }
+    if (error != MO_OK)
       continue;
     if (mo_task_check(&environment->task, &why) != MO_OK)
       error = mo_fail(message, MO_ERR_FORMAT, "lease %u, environment %u: %s", i, e, why.text);
@@ -314,6 +319,9 @@ static int get_environments(struct codec *codec, struct mo_wire_lease *lease, un
       error =
           mo_fail(message, MO_ERR_FORMAT,
                   "lease %u, environment %u: the terrain is neither a grid nor a profile", i, e);
+    else if (where > MO_ENVIRONMENT_PROFILE)
+      error = mo_fail(message, MO_ERR_FORMAT, "lease %u, environment %u: invalid damage or factors",
+                      i, e);
     else
       error = mo_fail(message, MO_ERR_FORMAT,
                       "lease %u, environment %u: number %u must be finite and within its limit", i,

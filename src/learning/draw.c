@@ -12,6 +12,7 @@
 #include "learning/internal.h"
 
 #include "base/thread.h"
+#include "world/factors.h"
 
 #include <stdatomic.h>
 #include <stdlib.h>
@@ -97,13 +98,17 @@ static int prepare(struct mo_training *training, struct mo_hand *hand)
     training->n_bodies = training->n_designs;
     training->bodies = calloc(training->n_bodies, sizeof(struct mo_body *));
   }
-  const bool draws = training->draws_worlds;
+  const bool varies = mo_factors_vary(&training->settings.learning.vary);
+  const bool draws = training->draws_worlds || varies;
   if (draws && hand->environments == NULL)
     hand->environments = calloc(batch, sizeof(*hand->environments));
+  if (varies && hand->factors == NULL)
+    hand->factors = calloc(batch, sizeof(*hand->factors));
   if (hand->robots == NULL)
     hand->robots = calloc(batch, sizeof(*hand->robots));
   return (pretrain ? hand->drawn == NULL || hand->bodies == NULL : training->bodies == NULL) ||
-                 (draws && hand->environments == NULL) || hand->robots == NULL
+                 (draws && hand->environments == NULL) || (varies && hand->factors == NULL) ||
+                 hand->robots == NULL
              ? MO_ERR_NO_MEMORY
              : MO_OK;
 }
@@ -145,9 +150,16 @@ static void make_environments(void *context, size_t first, size_t end)
   const struct mo_training *training = making->training;
   for (size_t i = first; i < end; i++) {
     struct mo_environment *environment = &making->hand->environments[i];
-    mo_environment_training(training->settings.seed, making->hand->step, i, environment);
-    if (training->n_environments > 0)
-      mo_training_give_task(choose(training, making->hand->step, (uint32_t)i), environment);
+    const uint32_t step = making->hand->step;
+    if (training->draws_worlds) {
+      mo_environment_training(training->settings.seed, step, i, environment);
+      if (training->n_environments > 0)
+        mo_training_give_task(choose(training, step, (uint32_t)i), environment);
+    } else {
+      *environment = *choose(training, step, (uint32_t)i); /* borrows its grid */
+    }
+    if (making->hand->factors != NULL)
+      environment->factors = mo_factors_times(&environment->factors, &making->hand->factors[i]);
   }
 }
 
@@ -161,10 +173,13 @@ static int make_robots(struct mo_training *training, struct mo_hand *hand)
                           .genotypes = pretrain ? hand->drawn : training->designs,
                           .bodies = pretrain ? hand->bodies : training->bodies};
   mo_parallel(training->n_threads, n_bodies, make_bodies, &making);
-  const int r = atomic_load(&making.error);
+  int r = atomic_load(&making.error);
+  if (r == MO_OK && hand->factors != NULL)
+    r = mo_factors_draw(&settings->learning.vary, settings->seed, hand->step, settings->batch,
+                        hand->factors);
   if (r < 0)
     return r;
-  const bool draws = training->draws_worlds;
+  const bool draws = hand->environments != NULL;
   if (draws)
     mo_parallel(training->n_threads, settings->batch, make_environments, &making);
   const uint64_t first = (uint64_t)hand->step * settings->batch;
@@ -280,6 +295,7 @@ void mo_training_draw_free(struct mo_training *training)
     free(hand->drawn);
     free(hand->bodies);
     free(hand->environments);
+    free(hand->factors);
     free(hand->robots);
   }
   mo_body_stream_free(training->stream);

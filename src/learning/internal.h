@@ -34,8 +34,9 @@ struct mo_training {
     uint64_t *drawn;         /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the step */
     uint32_t n_drawn;        /* number of bodies drawn so far */
     struct mo_body **bodies; /* pretrain: (batch); NULL: not built yet */
-    struct mo_environment *environments; /* (batch) drawn; NULL: the robots have the training's
-                                            own */
+    struct mo_environment *environments; /* (batch) drawn or varied; NULL: the robots have the
+                                            training's own */
+    struct mo_factors *factors;          /* (batch) drawn; NULL: none varies */
     struct mo_robot *robots;             /* (batch) */
     uint64_t draws;                      /* pretrain: draws of the stream up to the step's end */
     bool ready;                          /* `robots` is complete */

@@ -19,7 +19,8 @@ struct mo_learning mo_learning_defaults(enum mo_schedule_preset schedule)
                                  .beta2 = 0.999,
                                  .epsilon = 1e-8,
                                  .norm_limit = 1.0,
-                                 .gradient = mo_default_gradient_options()};
+                                 .gradient = mo_default_gradient_options(),
+                                 .vary = mo_factors_constant()};
   learning.gradient.weight = 0;
   return learning;
 }
@@ -104,6 +105,7 @@ static int check_together(const struct mo_training_settings *settings, struct mo
 int mo_training_settings_check(const struct mo_training_settings *settings,
                                struct mo_message *message)
 {
+  struct mo_message why = {""};
   if (settings->kind != MO_TRAINING_PRETRAIN && settings->kind != MO_TRAINING_FINETUNE)
     return mo_fail(message, MO_ERR_INVALID,
                    "kind of training must be %d (pretrain) or %d (finetune), got %d",
@@ -115,5 +117,11 @@ int mo_training_settings_check(const struct mo_training_settings *settings,
     error = mo_fail(message, MO_ERR_RANGE,
                     "control_period_s must be at most %d steps where a controller learns, got %u",
                     MO_GRADIENT_PERIOD_MAX, mo_control_steps(&settings->physics.scheme));
+  if (error == MO_OK)
+    error = mo_factor_ranges_check("vary", &settings->learning.vary, message);
+  if (error == MO_OK)
+    error = mo_physics_check_in(&settings->physics, NULL, &settings->learning.vary, &why);
+  if (error != MO_OK && why.text[0] != '\0')
+    return mo_fail(message, error, "vary makes constants that are out of range: %.180s", why.text);
   return error != MO_OK ? error : check_together(settings, message);
 }

@@ -2,6 +2,8 @@
 #include "rollout/scene.h"
 
 #include "rollout/objective.inc"
+#include "world/environment.h"
+#include "world/factors.h"
 
 #include <math.h>
 
@@ -30,8 +32,38 @@ void mo_scene_start(const struct mo_body *body, const struct mo_environment *env
 struct mo_constants mo_scene_constants(const struct mo_environment *environment,
                                        const struct mo_physics *physics)
 {
-  (void)environment;
-  return physics->constants;
+  const struct mo_factors *by = &environment->factors;
+  struct mo_constants constants = physics->constants;
+  if (by->given == 0)
+    return constants;
+  constants.stiffness_n_per_m *= by->stiffness;
+  constants.mass_kg *= by->mass;
+  constants.drag_per_s *= by->drag;
+  constants.gravity_m_per_s2 *= by->gravity;
+  constants.actuation *= by->actuation;
+  constants.friction *= by->friction;
+  return constants;
+}
+
+int mo_physics_check_in(const struct mo_physics *physics, const struct mo_environment *environment,
+                        const struct mo_factor_ranges *vary, struct mo_message *message)
+{
+  const struct mo_factor_ranges constant = mo_factors_constant();
+  struct mo_environment here = mo_environment_defaults;
+  struct mo_factors ends[2];
+  int error = MO_OK;
+  mo_factors_ends(vary != NULL ? vary : &constant, ends);
+  for (int i = 0; i < 2 && error == MO_OK; i++) {
+    struct mo_physics end = *physics;
+    here.factors =
+        environment != NULL ? mo_factors_times(&environment->factors, &ends[i]) : ends[i];
+    end.constants = mo_scene_constants(&here, physics);
+    error = mo_factors_check(&here.factors);
+    error = error != MO_OK ? mo_fail(message, error, "the product of two factors must be %g to %g",
+                                     MO_FACTOR_MIN, MO_FACTOR_MAX)
+                           : mo_physics_check(&end, message);
+  }
+  return error;
 }
 
 void mo_scene_light(const struct mo_environment *environment, double light_m[3])

@@ -12,8 +12,8 @@
 void mo_scene_start(const struct mo_body *body, const struct mo_environment *environment,
                     const struct mo_physics *physics, double *position_m);
 
-/* Returns the constants of a rollout. Every path takes them from here; today all environments have
- * those of the physics. */
+/* Returns the constants of a rollout: those of the physics times the environment's factors. Every
+ * path takes them from here. */
 struct mo_constants mo_scene_constants(const struct mo_environment *environment,
                                        const struct mo_physics *physics);
 

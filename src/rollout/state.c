@@ -88,6 +88,7 @@ void mo_window_identify(const struct mo_environment *environment, const struct m
   terrain.n_profile = environment->n_profile;
   terrain.profile_spacing_m = environment->profile_spacing_m;
   terrain.grid = environment->grid;
+  terrain.factors = environment->factors;
   lasting.scheme.n_steps = 1;
   lasting.drop_height_m = 0;
   mo_fields_clear_minus(&mo_physics_fields, &lasting);
@@ -192,8 +193,8 @@ int mo_window_check(const struct mo_state *state, const struct mo_body *body,
                    "start without a state");
   if (!is_same(s->terrain_key, here.terrain_key))
     return mo_fail(message, MO_ERR_INVALID,
-                   "its terrain differs from that of the environment; only the light, the task and "
-                   "the damage may change: start without a state on a new terrain");
+                   "its terrain or factors differ from those of the environment; only the light, "
+                   "the task and the damage may change: start without a state in a new world");
   const int status = check_numbers(s, message);
   if (status != MO_OK)
     return status;

@@ -12,6 +12,11 @@ struct mo_store;
 uint32_t mo_warn_of_physics(const struct mo_physics *physics,
                             struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX]);
 
+/* The same of a time step that is stable, but not with an environment's factors. Returns 0 or 1. */
+uint32_t mo_warn_of_world(const struct mo_physics *physics,
+                          const struct mo_environment *environment, uint32_t position,
+                          struct mo_warning *warning);
+
 /* ---- submission (by jobs) ---- */
 
 /* Bodies `first` to `first + count − 1` of a seed's stream (mo_body_stream). count 0: none. */

@@ -6,6 +6,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "rollout/scene.h"
 #include "store/campaigns.h"
 #include "store/encode.h"
 #include "store/evaluations.h"
@@ -109,7 +110,9 @@ static double lower(double value)
   return floor(value / unit) * unit;
 }
 
-static uint32_t warn_of_dt(const struct mo_physics *physics, struct mo_warning *warning)
+/* where: the environment that has these constants, in words; "": all of them. */
+static uint32_t warn_of_dt(const struct mo_physics *physics, const char *where,
+                           struct mo_warning *warning)
 {
   const struct mo_constants *constants = &physics->constants;
   if (mo_step_is_stable(physics, MO_EIGENVALUE_MAX))
@@ -119,10 +122,10 @@ static uint32_t warn_of_dt(const struct mo_physics *physics, struct mo_warning *
   /* Moving bodies fail a little below the bound (docs/numerics.md, "Stable steps"). */
   snprintf(warning->detail, sizeof(warning->detail),
            "dt_s %.6g is beyond the linear stability bound of %.3g for stiffness_n_per_m %.6g, "
-           "mass_kg %.6g, drag_per_s %.6g and integrator %s: expect bodies to blow up; use a dt_s "
-           "of at most %.2g",
+           "mass_kg %.6g, drag_per_s %.6g%s and integrator %s: expect bodies to blow up; use a "
+           "dt_s of at most %.2g",
            physics->scheme.dt_s, stable_s, constants->stiffness_n_per_m, constants->mass_kg,
-           constants->drag_per_s, mo_integrator_words[physics->scheme.integrator],
+           constants->drag_per_s, where, mo_integrator_words[physics->scheme.integrator],
            lower(0.8 * stable_s));
   return 1;
 }
@@ -147,8 +150,21 @@ static uint32_t warn_of_every_step(const struct mo_physics *physics, struct mo_w
 uint32_t mo_warn_of_physics(const struct mo_physics *physics,
                             struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX])
 {
-  const uint32_t n = warn_of_dt(physics, warnings);
+  const uint32_t n = warn_of_dt(physics, "", warnings);
   return n + warn_of_every_step(physics, warnings + n);
+}
+
+uint32_t mo_warn_of_world(const struct mo_physics *physics,
+                          const struct mo_environment *environment, uint32_t position,
+                          struct mo_warning *warning)
+{
+  struct mo_physics here = *physics;
+  char where[64];
+  if (environment->factors.given == 0 || !mo_step_is_stable(physics, MO_EIGENVALUE_MAX))
+    return 0;
+  here.constants = mo_scene_constants(environment, physics);
+  snprintf(where, sizeof(where), " (with the factors of environment %u)", (unsigned)position);
+  return warn_of_dt(&here, where, warning);
 }
 
 static void warn_of_physics(struct mo_job *job)
@@ -156,21 +172,25 @@ static void warn_of_physics(struct mo_job *job)
   job->n_warnings += mo_warn_of_physics(&job->physics, &job->warnings[job->n_warnings]);
 }
 
-static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, int64_t owner)
+static int warn_of_worlds(struct mo_connection *connection, struct mo_job *job, int64_t owner)
 {
   static const char sql[] = "SELECT e.data,x.position FROM job_environments x JOIN environments e"
                             " ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
   double nearest_m = INFINITY;
-  uint32_t nearest = 0, n = 0;
+  uint32_t nearest = 0, n = 0, unstable = 0;
   int error = MO_OK;
-  if (job->environment_set[0] != '\0') /* the lights of a named set are far enough away */
+  if (job->environment_set[0] != '\0') /* named sets deserve no warning */
     return MO_OK;
   sqlite3_stmt *row = mo_sql_rows(connection, &error, sql, mo_int(owner));
   while (mo_sql_next(connection, row, &error)) {
     struct mo_environment environment;
+    const uint32_t position = mo_column_u32(row, 1);
     error = mo_decode_environment(sqlite3_column_blob(row, 0), (size_t)sqlite3_column_bytes(row, 0),
                                   &environment);
     mo_environments_drop(&environment, 1);
+    if (error == MO_OK && unstable == 0)
+      unstable =
+          mo_warn_of_world(&job->physics, &environment, position, &job->warnings[job->n_warnings]);
     if (error != MO_OK || !mo_guide_has_light(&environment.task.guide))
       continue;
     const double *light_m = environment.light_xy_m;
@@ -178,9 +198,10 @@ static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, 
     n += distance_m < LIGHT_CLEAR_M;
     if (distance_m < nearest_m) {
       nearest_m = distance_m;
-      nearest = mo_column_u32(row, 1);
+      nearest = position;
     }
   }
+  job->n_warnings += unstable;
   if (n == 0)
     return error;
   warn(job, "light_near_start",
@@ -199,19 +220,19 @@ int mo_job_warn(struct mo_connection *connection, struct mo_job *job, const void
   case MO_JOB_EVALUATION:
     warn_of_rollouts(job);
     warn_of_physics(job);
-    return warn_of_lights(connection, job, job->id);
-  case MO_JOB_ATLAS: warn_of_physics(job); return warn_of_lights(connection, job, job->id);
+    return warn_of_worlds(connection, job, job->id);
+  case MO_JOB_ATLAS: warn_of_physics(job); return warn_of_worlds(connection, job, job->id);
   case MO_JOB_TRAINING: {
     const int error = warn_of_step(connection, job, record);
     warn_of_physics(job);
-    return error == MO_OK && job->n_environments > 0 ? warn_of_lights(connection, job, job->id)
+    return error == MO_OK && job->n_environments > 0 ? warn_of_worlds(connection, job, job->id)
                                                      : error;
   }
   case MO_JOB_CAMPAIGN: {
     const struct mo_campaign_record *campaign = record;
     const int error = warn_of_generation(connection, job, campaign);
     warn_of_physics(job);
-    return error == MO_OK ? warn_of_lights(connection, job, campaign->group) : error;
+    return error == MO_OK ? warn_of_worlds(connection, job, campaign->group) : error;
   }
   }
   return MO_OK;

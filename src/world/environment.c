@@ -1,5 +1,6 @@
 /* environment.c: see environment.h. */
 #include "world/environment.h"
+#include "world/factors.h"
 
 #include <math.h>
 
@@ -67,7 +68,11 @@ static const struct mo_field sum_rows[] = {
 };
 _Static_assert(MO_TERMS_MAX == 8, "each term has a row");
 #undef TERM
+static const struct mo_field given_rows[] = {
+    {"factors_given", MO_FIELD_COUNT, 0, AT(factors.given), .since = 7},
+};
 #undef AT
+static const struct mo_fields given_fields = MO_FIELDS(given_rows);
 static const struct mo_fields sum_fields = MO_FIELDS(sum_rows);
 static const struct mo_fields damage_fields = MO_FIELDS(damage_rows);
 static const struct mo_fields profile_fields = MO_FIELDS(profile_rows);
@@ -78,6 +83,9 @@ static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &profile_fields, .since = 3},
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &damage_fields, .since = 4},
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &sum_fields, .since = 5},
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &given_fields, .since = 7},
+    {NULL, MO_FIELD_INLINE, 0, offsetof(struct mo_environment, factors), .group = &mo_factor_fields,
+     .since = 7},
 };
 const struct mo_fields mo_environment_fields = MO_FIELDS(rows);
 
@@ -158,6 +166,10 @@ int mo_environment_check(const struct mo_environment *environment, uint32_t *whe
   if (error == MO_OK) {
     wrong = MO_ENVIRONMENT_DAMAGE;
     error = check_damage(&environment->damage);
+  }
+  if (error == MO_OK) {
+    wrong = MO_ENVIRONMENT_FACTORS;
+    error = mo_factors_check(&environment->factors);
   }
   if (error != MO_OK && where != NULL)
     *where = wrong;

@@ -24,11 +24,11 @@ extern const struct mo_environment mo_environment_defaults;
 
 /* The packed form, for hashed encodings, checkpoints and the messages of workers. It is that of the
  * fields (base/fields.h): 66 float64, from version 2 on the task, from version 3 on the shape of
- * the terrain, from version 4 on the damage, and from version 5 on the terms of a sum. In version
- * 6, 16 bytes follow, columns and rows of the grid (uint32_t) and its spacing (double), which are 0
- * without a custom grid, and then its heights (double). */
+ * the terrain, from version 4 on the damage, from version 5 on the terms of a sum, and from version
+ * 7 on the factors. From version 6 on, 16 bytes follow, columns and rows of the grid (uint32_t) and
+ * its spacing (double), which are 0 without a custom grid, and then its heights (double). */
 #define MO_ENVIRONMENT_GRID_VERSION 6
-#define MO_ENVIRONMENT_VERSION      6 /* the newest: rows that are added later raise it */
+#define MO_ENVIRONMENT_VERSION      7 /* the newest: rows that are added later raise it */
 /* Upper bound on the bytes before a grid's heights. */
 #define MO_ENVIRONMENT_HEAD_BYTES (sizeof(struct mo_environment) + 16)
 

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "world/environment.h"
+#include "world/factors.h"
 #include "world/terrain_json.h"
 
 #define KIND(kind) (1U << MO_GUIDE_##kind)
@@ -376,6 +377,31 @@ static void read_damage(struct mo_json *json, struct mo_environment *environment
     environment->damage = (struct mo_damage){1 + damage.octant, damage.time_s};
 }
 
+/* ---- factors ---- */
+
+/* Those that are not given are 1, and an object in which all are 1 is the same as none. */
+static void read_factors(struct mo_json *json, struct mo_environment *environment)
+{
+  const unsigned faults = json->faults->n;
+  struct mo_factors factors = mo_factors_ones();
+  mo_fields_read(json, &mo_factor_fields, &factors);
+  if (!json->stop && json->faults->n == faults)
+    environment->factors = mo_factors_simplest(&factors);
+}
+
+/* Writes those that are not 1. */
+static void write_factors(struct mo_text *text, const struct mo_factors *factors)
+{
+  mo_text_open(text, "factors", "{");
+  for (size_t i = 0; i < mo_factor_fields.n; i++) {
+    const struct mo_field *row = &mo_factor_fields.rows[i];
+    const struct mo_fields one = {row, 1};
+    if (*(const double *)(const void *)((const char *)factors + row->offset) != 1)
+      mo_fields_write(text, &one, factors);
+  }
+  mo_text_add(text, "}");
+}
+
 bool mo_environment_read_member(struct mo_json *json, struct mo_json_slice key,
                                 struct mo_environment *environment)
 {
@@ -389,6 +415,10 @@ bool mo_environment_read_member(struct mo_json *json, struct mo_json_slice key,
   }
   if (mo_json_is(key, "damage")) {
     read_damage(json, environment);
+    return true;
+  }
+  if (mo_json_is(key, "factors")) {
+    read_factors(json, environment);
     return true;
   }
   return mo_fields_read_member(json, key, &mo_place_fields, environment);
@@ -460,4 +490,6 @@ void mo_environment_write_tasks(struct mo_text *text, const struct mo_environmen
     mo_text_name(text, "damage");
     mo_fields_write_object(text, &damage_fields, &damage);
   }
+  if (environment->factors.given != 0)
+    write_factors(text, &environment->factors);
 }

@@ -28,10 +28,10 @@ void mo_task_write(struct mo_text *text, const struct mo_environment *environmen
 bool mo_environment_read_member(struct mo_json *json, struct mo_json_slice key,
                                 struct mo_environment *environment);
 /* Writes the members of an environment, with commas between them: light_xy_m unless the guide has
- * it or needs none, terrain_heights_m or, of a profile, terrain, the task unless it is plain, and
- * damage if there is any. */
+ * it or needs none, terrain_heights_m or, of a profile, terrain, the task unless it is plain,
+ * damage if there is any, and factors if any is not 1. */
 void mo_environment_write_members(struct mo_text *text, const struct mo_environment *environment);
-/* Writes only terrain, task and damage. */
+/* Writes only terrain, task, damage and factors. */
 void mo_environment_write_tasks(struct mo_text *text, const struct mo_environment *environment);
 
 #endif

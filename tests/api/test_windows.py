@@ -148,7 +148,7 @@ def test_states_that_do_not_fit_are_refused(service):
         (go_on | {"precision": "float64"}, "request that precision"),
         (go_on | {"physics": {"n_steps": 8, "gravity_m_per_s2": 9}}, "only n_steps"),
         (go_on | {"physics": {"n_steps": 8, "dt_s": 0.003}}, "whole number of steps"),
-        (go_on | {"environments": [WORLD | {"seed": 8}]}, "start without a state on a new terrain"),
+        (go_on | {"environments": [WORLD | {"seed": 8}]}, "start without a state in a new world"),
         (go_on | {"environments": [WORLD, WORLD]}, "one for each rollout"),
         (value | {"states": []}, "1 to 64"),
         (value | {"states": [state] * 65}, "1 to 64"),

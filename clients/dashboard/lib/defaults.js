@@ -43,7 +43,7 @@ const SCHEDULES = {
 };
 const learningOf = (name) => ({
   schedule: SCHEDULES[name], adam: { beta1: 0.9, beta2: 0.999, epsilon: 1e-8 },
-  gradient_norm_limit: 1, adjoint_bound: 2, adjoint_rule: 'clip', restart_weight: 3,
+  gradient_norm_limit: 1, adjoint_bound: 2, adjoint_rule: 'clip', restart_weight: 3, vary: null,
 });
 
 /** The settings of each selection. */
@@ -90,7 +90,7 @@ export function usualTraining(job, preset, periodS) {
  */
 function usualWorlds(named, places) {
   if (named === 'paper-test') return 'random';
-  const isOther = ({ task, damage, terrain }) => task || damage ||
+  const isOther = ({ task, damage, factors, terrain }) => task || damage || factors ||
     (terrain && !['rough', 'flat'].includes(terrain.kind));
   return places?.length ? (places.some(isOther) ? 'environments' : 'random') : undefined;
 }

@@ -48,13 +48,14 @@ function pair({ title, text, differs, usual }) {
 
 /** Describes an environment: its task, where its light is, and its ground. */
 export function placeOf(environment) {
-  const { task, light_xy_m: light, terrain, terrain_heights_m: heights, damage, sha256 } =
-    environment;
+  const { task, light_xy_m: light, terrain, terrain_heights_m: heights, damage, factors,
+    sha256 } = environment;
   const flat = heights?.every((one) => one === 0);
   const meters = light?.map((one) => Number(one.toFixed(3))).join(', ');
   return [taskWords([{ task }]) || 'photo', light ? `light at (${meters}) m` : '',
     terrain ? `terrain ${terrain.kind}` : heights ? (flat ? 'flat' : 'rough ground') : '',
-    damage ? 'damage' : '', sha256.slice(0, 12)].filter(Boolean).join(' · ');
+    damage ? 'damage' : '', Object.entries(factors ?? {}).map(([name, by]) => `${name} × ${by}`)
+      .join(', '), sha256.slice(0, 12)].filter(Boolean).join(' · ');
 }
 
 /** Loads the environments of a job; [] if they cannot be listed. */

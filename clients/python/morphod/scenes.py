@@ -19,12 +19,14 @@ from .errors import MorphodError, printable, reading
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-Environments = str | Sequence[Mapping[str, Any]]
-"""The name of a set ("paper-test"), or a list of environments: each with `light_xy_m` and either
-`terrain_heights_m` (64 numbers, or an array (8, 8) as in scenes, with row y and column x),
-`terrain_sigma_m` and `seed`, or `terrain` ({"kind": "stairs-up"}, a profile, or a grid whose
-heights may be an array: docs/tasks.md); or with `task` ("walk", or spelled out), which may move the
-light and needs no terrain."""
+Environments = str | Mapping[str, Any] | Sequence[Mapping[str, Any]]
+"""The name of a set ("paper-test"); an object that varies the constants of its worlds ({"of":
+"paper-test", "vary": {"friction": [0.5, 1.5]}, "count": 64}); or a list of environments: each with
+`light_xy_m` and either `terrain_heights_m` (64 numbers, or an array (8, 8) as in scenes, with row y
+and column x), `terrain_sigma_m` and `seed`, or `terrain` ({"kind": "stairs-up"}, a profile, or a
+grid whose heights may be an array: docs/tasks.md); or with `task` ("walk", or spelled out), which
+may move the light and needs no terrain. `factors` ({"friction": 0.5}) multiplies constants of the
+physics."""
 
 MEDIA_TYPE = "application/vnd.morphod.scene"
 

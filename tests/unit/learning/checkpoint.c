@@ -63,8 +63,10 @@ static bool same_settings(const struct mo_training_settings *a,
          x->schedule.floor == y->schedule.floor && x->schedule.decay == y->schedule.decay &&
          x->schedule.cycle_steps == y->schedule.cycle_steps &&
          x->schedule.cycle_growth == y->schedule.cycle_growth &&
-         x->schedule.warmup_steps == y->schedule.warmup_steps && x->beta1 == y->beta1 &&
-         x->beta2 == y->beta2 && x->epsilon == y->epsilon && x->norm_limit == y->norm_limit &&
+         x->schedule.warmup_steps == y->schedule.warmup_steps && x->vary.given == y->vary.given &&
+         x->vary.mass[1] == y->vary.mass[1] && x->vary.friction[0] == y->vary.friction[0] &&
+         x->beta1 == y->beta1 && x->beta2 == y->beta2 && x->epsilon == y->epsilon &&
+         x->norm_limit == y->norm_limit &&
          mo_fields_equal(&mo_gradient_fields, &x->gradient, &y->gradient) &&
          mo_physics_equal(&a->physics, &b->physics);
 }
@@ -88,6 +90,8 @@ static void settings_kept(void)
       .sensor = MO_SENSOR_INVERSE_SQUARE,
       .held_out_designs = 12,
       .held_out_environments = 13};
+  s.learning.vary =
+      (struct mo_factor_ranges){true, {0.9, 1.1}, {1, 2}, {1, 1}, {1, 1}, {1, 1}, {0.25, 1}};
   s.physics = (struct mo_physics){.scheme.dt_s = 0.003,
                                   .scheme.n_steps = 77,
                                   .scheme.control_period_s = 0.009,
@@ -108,7 +112,7 @@ static void settings_kept(void)
   REQUIRE(mo_training_export(training, NULL, "1.2.3", NULL, &exported) == MO_OK);
   CHECK(strstr(mo_controller_get_metadata(exported, "morphod.settings"),
                "\"adjoint_bound\":3.5,\"adjoint_rule\":\"restart\",\"restart_weight\":2.25,"
-               "\"physics\"") != NULL);
+               "\"vary\":{\"stiffness\":[0.9,1.1],\"mass\":[1,2],") != NULL);
   mo_controller_free(exported);
 }
 
@@ -280,7 +284,7 @@ static void lineage(void)
              "\"cycle_steps\":100,\"cycle_growth\":1,\"warmup_steps\":2},\"adam\":{\"beta1\":0.9,"
              "\"beta2\":0.999,"
              "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"adjoint_rule\":"
-             "\"clip\",\"restart_weight\":3,"
+             "\"clip\",\"restart_weight\":3,\"vary\":null,"
              "\"physics\":{"
              "\"dt_s\":0.002,\"n_steps\":2000,\"control_period_s\":0,"
              "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,"

@@ -147,6 +147,43 @@ static void tasks_in_drawn_worlds(void)
   mo_controller_free(exported);
 }
 
+/* Every robot's world has factors of the stream, times its own; everything else about it stays. The
+ * same on several threads and after a checkpoint. */
+static void varied_worlds(void)
+{
+  enum { BATCH = 120 };
+  for (int listed = 0; listed < 2; listed++) {
+    struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
+    struct mo_environment places[N];
+    struct mo_factors drawn[BATCH];
+    memcpy(places, own(), sizeof(places));
+    places[1].factors = (struct mo_factors){1, 1, 1.5, 1, 1, 1, 2};
+    settings.batch = BATCH;
+    struct mo_training *plain = finetuning(&settings, 3, 1.0F);
+    settings.learning.vary = (struct mo_factor_ranges){
+        true, {0.9, 1.1}, {1, 1}, {1, 1}, {1, 1}, {1, 1}, {1.0 / 3, 4.0 / 3}};
+    struct mo_training *training = finetuning(&settings, 3, 1.0F);
+    if (listed) {
+      make_check(mo_training_set_environments(plain, places, N), "environments");
+      make_check(mo_training_set_environments(training, places, N), "environments");
+    }
+    training = decoded(encoded(training));
+    mo_training_set_threads(training, 3);
+    const struct mo_robot *before = draw(plain), *robots = draw(training);
+    uint32_t wrong = 0;
+    make_check(mo_factors_draw(&settings.learning.vary, settings.seed, 0, BATCH, drawn), "factors");
+    for (uint32_t i = 0; i < BATCH; i++) {
+      struct mo_environment expected = *before[i].environment;
+      expected.factors = mo_factors_times(&expected.factors, &drawn[i]);
+      wrong += !same_environment(&expected, robots[i].environment) ||
+               mo_environment_check(robots[i].environment, NULL) != MO_OK;
+    }
+    CHECK_INT(wrong, 0);
+    REQUIRE(mo_training_draw_ahead(training, NULL) == MO_OK);
+    check_drop_to(0);
+  }
+}
+
 static void bodies_stay(void)
 {
   struct mo_training *training = in_own(MO_TRAINING_PRETRAIN, 8, 50);
@@ -289,6 +326,7 @@ static const struct check_case cases[] = {
     {"robots have the environments of the stream", drawn_by_the_stream},
     {"the same robots on several threads and after a checkpoint", same_again},
     {"tasks in drawn environments", tasks_in_drawn_worlds},
+    {"factors of the robots' worlds", varied_worlds},
     {"the bodies are those of the seed", bodies_stay},
     {"environments in checkpoints", checkpoints},
     {"grids of other sizes in checkpoints", grids},

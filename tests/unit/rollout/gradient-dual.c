@@ -75,11 +75,27 @@ static double compare(struct gradient_case *c, const struct second_parameters *d
   return worst;
 }
 
-enum scenes { PLAIN = 0, TASKS = 1, PROFILES = 2, OBJECTIVES = 4, GRIDS = 8 };
+enum scenes { PLAIN = 0, TASKS = 1, PROFILES = 2, OBJECTIVES = 4, GRIDS = 8, FACTORS = 16 };
+
+/* Gives an environment factors, and returns the physics that they make of `physics`. */
+static struct mo_physics vary(struct mo_environment *environment, struct mo_physics physics,
+                              uint32_t k)
+{
+  const struct mo_factors f = {1, 0.7 + 0.1 * (k % 4), 1.3, 0.9, 1.1, 0.8 + 0.2 * (k % 3), 0.8};
+  struct mo_constants *c = &physics.constants;
+  c->stiffness_n_per_m *= f.stiffness;
+  c->mass_kg *= f.mass;
+  c->drag_per_s *= f.drag;
+  c->gravity_m_per_s2 *= f.gravity;
+  c->actuation *= f.actuation;
+  c->friction *= f.friction;
+  environment->factors = f;
+  return physics;
+}
 
 /* held: the steps of a control period in each case; NULL: the controller computes its outputs in
  * every step. scenes: with the tasks of task-cases.h or objective-cases.h, and on profiles, of
- * which half have damage, or not. */
+ * which half have damage, and with factors, or not. */
 static void run_scenes(enum mo_integrator integrator, const uint32_t *at, uint32_t n_at,
                        const uint32_t *held, uint32_t n_cases, unsigned scenes)
 {
@@ -113,7 +129,10 @@ static void run_scenes(enum mo_integrator integrator, const uint32_t *at, uint32
     c.physics.scheme.integrator = integrator;
     if (held != NULL)
       c.physics.scheme.control_period_s = held[k] * c.physics.scheme.dt_s;
-    const struct second_setup setup = {c.body, &c.environment, &c.physics, c.controller->sensor};
+    /* The dual numbers have the constants themselves. */
+    const struct mo_physics physics =
+        scenes & FACTORS ? vary(&c.environment, c.physics, k) : c.physics;
+    const struct second_setup setup = {c.body, &c.environment, &physics, c.controller->sensor};
     struct dual losses[4];
     REQUIRE(dual_rollout(&setup, &d, at, n_at, losses) == 0);
     printf("# %4u %6u %7u %7.2f %-14s %-9s |", k, c.body->n_masses, c.body->n_springs, c.sigma_m,
@@ -154,6 +173,13 @@ static void short_runs(void)
 {
   static const uint32_t at[] = {10, 50, 200};
   run_cases(MO_INTEGRATOR_PAPER, at, 3, NULL, GRADIENT_CASES);
+}
+
+static void varied_runs(void)
+{
+  static const uint32_t at[] = {10, 50, 200}, held[] = {4, 1, 3, 8, 1, 16, 5, 2};
+  run_scenes(MO_INTEGRATOR_PAPER, at, 3, held, COUNT(held), FACTORS);
+  run_scenes(MO_INTEGRATOR_SPLIT, at, 2, held, COUNT(held), FACTORS);
 }
 
 /* Periods that divide the rollout, and periods that the end of the rollout cuts short. */
@@ -377,5 +403,6 @@ static const struct check_case cases[] = {
     {"objectives: work, heights and sums", objective_runs},
     {"profiles: 10 to 200 steps", profile_runs},
     {"grids of other sizes: 10 to 200 steps", grid_runs},
+    {"factors: 10 to 200 steps", varied_runs},
 };
 CHECK_MAIN(cases)

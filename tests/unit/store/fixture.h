@@ -200,7 +200,8 @@ static inline struct mo_learning fixture_learning(void)
       .beta2 = 0.999,
       .epsilon = 1e-8,
       .norm_limit = 1,
-      .gradient = {.adjoint_bound = 2, .adjoint_rule = MO_ADJOINT_RESTART, .restart_weight = 2.5}};
+      .gradient = {.adjoint_bound = 2, .adjoint_rule = MO_ADJOINT_RESTART, .restart_weight = 2.5},
+      .vary = {true, {0.9, 1.1}, {0.8, 1.2}, {1, 1}, {0.7, 1}, {1, 1.5}, {0.5, 1.25}}};
 }
 
 /* The classes of a process that has only one. */

@@ -209,6 +209,9 @@ class Scoring:
         if isinstance(environments, str):
             known = await self._connection.json(Request.get(f"/v1/environment-sets/{environments}"))
             world: Mapping[str, Any] = world_of(known, environment)
+        elif isinstance(environments, Mapping):
+            raise MorphodError("show needs the name of a set or a list of environments: evaluate "
+                               "in the varied ones first, and show that evaluation")
         elif -len(environments) <= environment < len(environments):
             world = environments[environment]
         else:

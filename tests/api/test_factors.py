@@ -1,0 +1,262 @@
+"""Factors of an environment: scores, what is stored and reported, refusals, windows and studies."""
+
+import pytest
+
+from service import DESIGN, await_end
+
+TALL = {"cells": [[x, y, z] for x in (2, 3) for y in (2, 3) for z in (0, 1)]}
+PLACE = {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 3}
+PHYSICS = {"n_steps": 100, "control_period_s": 0.016}
+CONSTANTS = {"stiffness_n_per_m": 15000, "mass_kg": 1, "drag_per_s": 15,
+             "gravity_m_per_s2": 9.8, "actuation": 0.2, "friction": 0.9}
+BY = {"stiffness": 0.9, "mass": 1.2, "drag": 0.5, "gravity": 0.8, "actuation": 1.1,
+      "friction": 0.3}
+
+
+def evaluate(service, *environments, **more):
+    reply = service.evaluate({"designs": [TALL], "environments": list(environments),
+                              "physics": PHYSICS, **more})
+    assert reply.json()["state"] == "succeeded", reply.json()
+    return reply.json()
+
+
+def product(factors):
+    """The constants of an environment with these factors."""
+    name = {"stiffness": "stiffness_n_per_m", "mass": "mass_kg", "drag": "drag_per_s",
+            "gravity": "gravity_m_per_s2"}
+    constants = {name.get(key, key): by for key, by in factors.items()}
+    return {key: CONSTANTS[key] * by for key, by in constants.items()}
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_scores_are_those_of_the_products(service, precision):
+    """Also where environments with different factors share a block."""
+    places = [PLACE, *(PLACE | {"factors": {key: by}} for key, by in BY.items()),
+              PLACE | {"factors": BY}]
+    losses = evaluate(service, *places, precision=precision)["results"][0]["losses"]
+    assert len(set(losses)) == len(places)
+    for place, loss in zip(places, losses):
+        physics = PHYSICS | product(place.get("factors", {}))
+        job = evaluate(service, PLACE, precision=precision, physics=physics)
+        assert job["results"][0]["losses"] == [loss]
+
+
+def test_what_is_reported(service):
+    job = evaluate(service, PLACE | {"factors": {"friction": 0.5, "mass": 1}},
+                   PLACE | {"factors": {"mass": 1}}, PLACE | {"factors": {}}, PLACE)
+    worlds = service.get(f"/v1/evaluations/{job['id']}/environments")["items"]
+    assert worlds[0]["factors"] == {"friction": 0.5}
+    assert service.get("/v1/environments/" + worlds[0]["sha256"]) == worlds[0]
+    assert [world["sha256"] for world in worlds[1:]] == [worlds[3]["sha256"]] * 3
+    assert all("factors" not in world for world in worlds[1:])
+    world = {key: value for key, value in worlds[0].items() if key != "sha256"}
+    again = evaluate(service, world)
+    assert again["results"][0]["losses"] == job["results"][0]["losses"][:1]
+
+
+@pytest.mark.parametrize("factors, pointer, says", [
+    ({"mass": 0}, "/mass", "0.01"),
+    ({"friction": -1}, "/friction", "at most 100"),
+    ({"friction": "low"}, "/friction", "number"),
+    ({"slip": 1}, "/slip", "friction"),
+    ({"actuation": 5}, "", "actuation must be"),
+    ({"drag": 40}, "", "use smaller steps"),
+])
+def test_refusals(service, factors, pointer, says):
+    for kind in ("evaluations", "rollouts"):
+        reply = service.request("POST", f"/v1/{kind}", {
+            "designs": [DESIGN], "environments": [PLACE, PLACE | {"factors": factors}],
+            "physics": PHYSICS})
+        assert reply.status == 422
+        fault, = reply.json()["errors"]
+        assert fault["pointer"] == "/environments/1/factors" + pointer and says in fault["detail"]
+
+
+def test_learning_kinds_refuse_products_out_of_range(service):
+    places = [PLACE | {"factors": {"actuation": 5}}]
+    for kind, value in (("campaigns", {"mode": "zero-shot"}), ("trainings", {"kind": "pretrain"})):
+        reply = service.request("POST", f"/v1/{kind}", value | {"environments": places})
+        assert reply.status == 422
+        assert "/environments/0/factors" in reply.pointers()
+
+
+def test_unstable_steps_are_named(service):
+    """The step is stable with the constants of the request, but not with those of a world."""
+    place = PLACE | {"factors": {"stiffness": 10}}
+    job = evaluate(service, PLACE, place)
+    warning, = [one for one in job["warnings"] if one["code"] == "unstable_step"]
+    assert "environment 1" in warning["detail"] and "150000" in warning["detail"]
+    assert not evaluate(service, PLACE)["warnings"]
+    scene = service.request("POST", "/v1/rollouts", {
+        "designs": [TALL], "environments": [PLACE, place], "physics": PHYSICS}).json()
+    assert [one["code"] for one in scene["warnings"]] == ["unstable_step"]
+
+
+def test_campaigns_learn_in_such_worlds(service):
+    """Random worlds have no factors, so learning defaults to the campaign's own."""
+    value = {"mode": "few-shot", "population": 4, "generations": 1, "seed": 1, "physics": PHYSICS,
+             "learning": {"parent_steps": 1, "child_steps": 1, "batch": 2}}
+    for places, worlds in (([PLACE], "random"), ([PLACE | {"factors": BY}], "environments")):
+        id = service.post("/v1/campaigns", value | {"environments": places})["id"]
+        job = await_end(service, f"/v1/campaigns/{id}").json()
+        assert job["state"] == "succeeded", job
+        assert job["settings"]["learning"]["worlds"] == worlds
+
+
+def test_trainings_learn_in_such_worlds(service):
+    value = {"kind": "finetune", "designs": [TALL], "steps": 2, "batch": 4, "physics": PHYSICS,
+             "validation": {"every_steps": 1}}
+    ends = []
+    for factors in ({}, {"friction": 0.3}):
+        id = service.post("/v1/trainings", value | {
+            "environments": [PLACE | {"factors": factors}]})["id"]
+        job = await_end(service, f"/v1/trainings/{id}").json()
+        assert job["state"] == "succeeded", job
+        ends.append(job["validation"])
+    assert ends[0] != ends[1]
+
+
+def drawn(service, environments):
+    """The stored environments of an evaluation that asks for these, without their hashes."""
+    job = service.post("/v1/evaluations", {"designs": [TALL], "environments": environments,
+                                           "physics": {"n_steps": 8, "control_period_s": 0.016}})
+    worlds = service.get(f"/v1/evaluations/{job['id']}/environments")["items"]
+    return [{key: value for key, value in world.items() if key != "sha256"} for world in worlds]
+
+
+def test_environments_are_varied_by_latin_hypercubes(service):
+    ranges = {"friction": [0.5, 1.5], "mass": [0.8, 1.2]}
+    request = {"of": [PLACE, {"task": "walk"}], "vary": ranges, "count": 64}
+    worlds = drawn(service, request)
+    for name, (low, high) in ranges.items():
+        parts = [int((world["factors"][name] - low) / (high - low) * 64) for world in worlds]
+        assert sorted(parts) == list(range(64))
+    assert [world.get("task") is None for world in worlds] == [True, False] * 32
+    assert worlds == drawn(service, request | {"seed": 1})
+    assert worlds != drawn(service, request | {"seed": 2})
+    assert worlds == drawn(service, worlds)
+
+
+def test_sets_are_varied(service):
+    plain = drawn(service, "paper-test")
+    worlds = drawn(service, {"vary": {"friction": [0.5, 0.5]}})
+    assert worlds == [world | {"factors": {"friction": 0.5}} for world in plain]
+    worlds = drawn(service, {"of": "morpho-12-walk", "vary": {"drag": [0.9, 1.1]}, "count": 4})
+    assert len(worlds) == 4 and all("task" in world for world in worlds)
+    own = [PLACE | {"factors": {"friction": 2, "mass": 0.5}}]
+    worlds = drawn(service, {"of": own, "vary": {"friction": [0.5, 0.5]}})
+    assert worlds[0]["factors"] == {"mass": 0.5}
+
+
+@pytest.mark.parametrize("environments, pointer, says", [
+    ({"of": "paper-test"}, "", "vary is missing"),
+    ({"vary": {"friction": [2, 1]}}, "/vary", "lowest"),
+    ({"vary": {"slip": [1, 2]}}, "/vary/slip", "friction"),
+    ({"vary": {"friction": [0.5, 1]}, "count": 65}, "/count", "64"),
+    ({"vary": {"friction": [0.5, 1]}, "of": {"vary": {}}}, "/of", "name of a set"),
+    ({"vary": {"friction": [0.5, 1]}, "of": "morpho-12"}, "/of", "suite"),
+    ({"vary": {"friction": [0.5, 1]}, "of": "nowhere"}, "/of", "unknown set"),
+    ({"vary": {"friction": [0.5, 1]}, "n": 3}, "/n", "count"),
+])
+def test_variations_are_refused(service, environments, pointer, says):
+    reply = service.request("POST", "/v1/evaluations", {"designs": [DESIGN],
+                                                        "environments": environments})
+    assert reply.status == 422
+    fault, = reply.json()["errors"]
+    assert fault["pointer"] == "/environments" + pointer and says in fault["detail"]
+
+
+def test_campaigns_and_trainings_take_varied_worlds(service):
+    vary = {"of": [PLACE], "vary": {"friction": [0.5, 1.5]}, "count": 3}
+    for kind, value in (("trainings", {"kind": "finetune", "designs": [TALL], "steps": 1,
+                                       "batch": 2}),
+                        ("campaigns", {"mode": "zero-shot", "population": 4, "generations": 1})):
+        job = service.post(f"/v1/{kind}", value | {"environments": vary, "physics": PHYSICS})
+        assert await_end(service, f"/v1/{kind}/{job['id']}").json()["state"] == "succeeded"
+    worlds = service.get(f"/v1/campaigns/{job['id']}/environments")["items"]
+    assert len({world["factors"]["friction"] for world in worlds}) == 3
+
+
+VARY = {"friction": [1 / 3, 4 / 3], "mass": [0.9, 1.1]}
+
+
+def test_trainings_vary_their_worlds(service):
+    """The same seed gives the same weights; ranges change them, and are reported."""
+    value = {"kind": "pretrain", "steps": 2, "batch": 4, "physics": PHYSICS,
+             "validation": {"every_steps": 1, "designs": 2}}
+    curves = []
+    for vary in (None, VARY, VARY, VARY | {"mass": [1, 1]}):
+        id = service.post("/v1/trainings", value | {"vary": vary})["id"]
+        job = await_end(service, f"/v1/trainings/{id}").json()
+        assert job["state"] == "succeeded", job
+        seen = job["settings"]["vary"]
+        assert seen == (vary and {"stiffness": [1, 1], "drag": [1, 1], "gravity": [1, 1],
+                                  "actuation": [1, 1]} | vary)
+        curves.append(job["validation"])
+    assert curves[1] == curves[2]
+    assert curves[0] != curves[1] and curves[1] != curves[3]
+
+
+@pytest.mark.parametrize("vary, pointer, says", [
+    ({"mass": [0, 1]}, "/vary/mass/0", "0.01"),
+    ({"mass": 1}, "/vary/mass", "array"),
+    ({"slip": [0, 1]}, "/vary/slip", "friction"),
+    ({"friction": [1.2, 0.3]}, "", "vary.friction must be [lowest, highest], got [1.2, 0.3]"),
+    ({"actuation": [1, 5]}, "", "vary makes constants that are out of range: actuation"),
+])
+def test_ranges_are_refused(service, vary, pointer, says):
+    for kind, value in (("trainings", {"kind": "pretrain", "vary": vary}),
+                        ("campaigns", {"mode": "few-shot", "learning": {"vary": vary}})):
+        reply = service.request("POST", f"/v1/{kind}", value)
+        assert reply.status == 422
+        fault, = reply.json()["errors"]
+        assert says in fault["detail"]
+        assert not pointer or fault["pointer"] == (
+            "/learning" if kind == "campaigns" else "") + pointer
+
+
+def test_products_of_ranges_and_factors_are_checked(service):
+    reply = service.request("POST", "/v1/trainings", {
+        "kind": "pretrain", "vary": {"actuation": [1, 2]},
+        "environments": [PLACE, PLACE | {"factors": {"actuation": 3}}]})
+    assert reply.status == 422 and reply.pointers() == ["/environments/1/factors"]
+
+
+def test_campaigns_learn_in_varied_worlds(service):
+    value = {"mode": "few-shot", "population": 4, "generations": 1, "seed": 1, "physics": PHYSICS,
+             "learning": {"parent_steps": 1, "child_steps": 1, "batch": 2}}
+    best = []
+    for vary in (None, VARY):
+        id = service.post("/v1/campaigns", value | {
+            "learning": value["learning"] | {"vary": vary}})["id"]
+        job = await_end(service, f"/v1/campaigns/{id}").json()
+        assert job["state"] == "succeeded", job
+        best.append([one["score"] for one in service.get(
+            f"/v1/campaigns/{id}/population")["items"]])
+    assert best[0] != best[1]
+
+
+def test_windows_keep_their_factors(service):
+    """Two windows are one rollout; a window with other factors is refused."""
+    value = {"designs": [TALL], "environments": [PLACE | {"factors": BY}], "physics": PHYSICS,
+             "final_states": True}
+
+    def roll(**more):
+        return service.request("POST", "/v1/rollouts", value | more)
+
+    whole = roll().json()["rollouts"][0]
+    half = roll(physics=PHYSICS | {"n_steps": 48}).json()["rollouts"][0]["state"]
+    rest = roll(physics=PHYSICS | {"n_steps": 52}, states=[half])
+    assert rest.json()["rollouts"][0]["state"] == whole["state"]
+    other = roll(environments=[PLACE], states=[half])
+    assert other.status == 422 and "factors" in other.json()["errors"][0]["detail"]
+
+
+def test_a_study_names_factors_that_differ(service):
+    value = {"mode": "study", "population": 4, "label": "slippery",
+             "if_exists": "return", "physics": PHYSICS,
+             "environments": [PLACE | {"factors": {"friction": 0.5}}]}
+    assert service.request("POST", "/v1/campaigns", value).status == 202
+    reply = service.request("POST", "/v1/campaigns", value | {"environments": [PLACE]})
+    assert reply.status == 409, reply.body
+    assert "/environments/0/factors/friction" in reply.body.decode()
