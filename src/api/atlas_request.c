@@ -49,6 +49,8 @@ static int check(struct mo_json *json, void *any)
   struct mo_message message;
   if (mo_physics_check(&parsed->request.physics, &message) == MO_ERR_RANGE)
     mo_json_fault_at(json, 0, "/physics", "%s", message.text);
+  else
+    mo_parts_check_factors(json, &parsed->parts, &parsed->request.physics, NULL);
   if (parsed->request.voxels == 0 && json->faults->n == 0)
     mo_json_fault_at(json, 0, "",
                      "voxels is missing; it must be the most voxels of a body, 1 to %d",
