@@ -72,6 +72,16 @@ def site(answers):
         page.quit()
 
 
+@contextlib.contextmanager
+def deleted(service, *names):
+    """Deletes atlases at the end, so that other tests do not see them."""
+    try:
+        yield
+    finally:
+        for name in names:
+            service.request("DELETE", f"/v1/atlases/{name}")
+
+
 def visit(page, link="", shown=".better-than"):
     page.driver.get("about:blank")
     page.driver.get(page.base + link)
@@ -208,7 +218,7 @@ const [done] = arguments;
 """
 
 
-def test_a_site_is_small_and_records_motion(service, answers, tmp_path):
+def test_a_site_is_small_and_records_motion(service, answers, site, tmp_path):
     """The best of each size and footprint walk; other bodies stand, and the page says so."""
     controller = service.get("/v1/controllers")["items"][0]["sha256"]
     write_atlas(tmp_path / "five.atlas", 5, 1000, controller)
@@ -241,35 +251,40 @@ def test_the_page_of_a_service(service, browser, tmp_path):
     """The same numbers over the routes; the body walks under the controller of the atlas, and
     another atlas can be compared."""
     controller = service.get("/v1/controllers")["items"][0]["sha256"]
-    for name, levels, by in (("five", 1000, controller), ("other", 900, "ab" * 32)):
-        write_atlas(tmp_path / name, 5, levels, by)
-        reply = service.request("PUT", f"/v1/atlases/{name}/file",
-                                body=(tmp_path / name).read_bytes(),
-                                headers={"Content-Type": "application/octet-stream"})
-        assert reply.status == 201, reply.body
+    with deleted(service, "page-five", "page-other"):
+        for name, levels, by in (("page-five", 1000, controller), ("page-other", 900, "ab" * 32)):
+            write_atlas(tmp_path / name, 5, levels, by)
+            reply = service.request("PUT", f"/v1/atlases/{name}/file",
+                                    body=(tmp_path / name).read_bytes(),
+                                    headers={"Content-Type": "application/octet-stream"})
+            assert reply.status == 201, reply.body
+        see_the_page(service, browser)
+
+
+def see_the_page(service, browser):
     browser.open("atlas")
     browser.until("document.querySelector('main table')")
-    assert browser.texts("main td a") == ["five", "other"]
-    best = service.get("/v1/atlases/five/best?voxels=4&limit=1")["items"][0]
-    browser.open("atlas/five")
+    assert {"page-five", "page-other"} <= set(browser.texts("main td a"))
+    best = service.get("/v1/atlases/page-five/best?voxels=4&limit=1")["items"][0]
+    browser.open("atlas/page-five")
     browser.until("document.querySelectorAll('.sizes .card').length === 5")
     browser.run("document.querySelectorAll('.sizes .card')[3].click()")
     browser.until("document.querySelector('.atlas-numbers').innerText.includes('1: the best')")
     assert browser.texts(".atlas-numbers dd")[:2] == [f"{best['score']:.4f}", str(best["rank"])]
     browser.until("/^As drawn/.test(document.querySelector('.walk-words').innerText)", 300)
-    changes = service.get("/v1/atlases/five/neighbors?steps=add,remove,move&design=" +
+    changes = service.get("/v1/atlases/page-five/neighbors?steps=add,remove,move&design=" +
                           best["genotype"])["items"]
     assert browser.texts("[aria-label='One voxel from here'] strong") == \
         [f"{one['score']:.4f}" for one in changes[:8]]
     browser.click("Find them")
     browser.until("document.querySelectorAll('[aria-label=\"Local optima\"] .card').length > 5")
     browser.run("const e = document.querySelector('[aria-label=\"Compare with\"]');"
-                "e.value = 'other'; e.dispatchEvent(new Event('change'))")
+                "e.value = 'page-other'; e.dispatchEvent(new Event('change'))")
     browser.until("document.querySelector('[aria-label=Compare] p').innerText.includes('Kendall')")
     assert "124 bodies are in both" in browser.texts("[aria-label=Compare] p")[0]
     assert browser.run(ACCESSIBILITY) == []
     assert browser.faults() == []
-    browser.open("atlas/other")
+    browser.open("atlas/page-other")
     browser.until("/^It does not walk: /.test(document.querySelector('.walk-words').innerText)")
 
 
@@ -286,13 +301,14 @@ def test_builds_are_shown(service, browser):
     service.act(id, "cancel")
     browser.until("!document.querySelector('article')")
     quick = {"voxels": 2, "name": "quick", "orientations": "canonical", "physics": {"n_steps": 50}}
-    id = service.post("/v1/atlases", quick)["id"]
-    browser.open("runs?kind=atlas")
-    browser.until("[...document.querySelectorAll('.runs a')]"
-                  ".some((e) => e.hash === '#/atlas/quick')")
-    browser.open("atlas/quick")
-    browser.until("document.querySelector('.better-than')", 300)
-    browser.until("document.title === 'Atlas quick · morphod'")
+    with deleted(service, "quick"):
+        service.post("/v1/atlases", quick)
+        browser.open("runs?kind=atlas")
+        browser.until("[...document.querySelectorAll('.runs a')]"
+                      ".some((e) => e.hash === '#/atlas/quick')")
+        browser.open("atlas/quick")
+        browser.until("document.querySelector('.better-than')", 300)
+        browser.until("document.title === 'Atlas quick · morphod'")
     assert browser.faults() == []
 
 
