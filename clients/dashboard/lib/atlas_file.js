@@ -4,8 +4,8 @@
  * same definitions and orders.
  *
  * A body is a list of places on the lattice of the workspace. Of its eight images, the canonical
- * one has the least sides and, of these, the largest key: the rank of its sorted voxels among all
- * sets of as many voxels. Keys of ten voxels have 50 bits, so a Number holds them.
+ * one has the smallest sides and, of these, the largest key: the rank of its sorted voxels among
+ * all sets of as many voxels. Keys of ten voxels have 50 bits, so a Number holds them.
  */
 
 const MAGIC = 'morphod atlas\r\n\0';
@@ -42,6 +42,13 @@ function unpackLoss(packed) {
   const size = exponent === 31 ? Infinity : exponent === 0 ? fraction * 2 ** -24
     : (fraction + 1024) * 2 ** (exponent - 25);
   return packed & 0x8000 ? -size : size;
+}
+
+/** Returns the next larger number of 32 bits. */
+function after(number) {
+  const next = new Float32Array([number]);
+  new Int32Array(next.buffer)[0] += number < 0 ? -1 : 1;
+  return next[0];
 }
 
 /** Whether a body comes before another one: the better score, of equal ones the lower position. */
@@ -425,13 +432,13 @@ export class AtlasFile {
   }
 
   /** Counts the bodies of each size by score: counts[size − 1][i] have edge i ≤ score < edge
-   * i + 1. */
+   * i + 1. Without `hi`, the highest finite score is in the last bin. */
   async histogram({ bins = 64, lo = NaN, hi = NaN } = {}) {
     const all = this.sorted[0];
     const from = !Number.isNaN(lo) ? lo : this.scores[all[0]];
     let last = all.length - 1;
     while (last > 0 && !Number.isFinite(this.scores[all[last]])) last--;
-    const to = !Number.isNaN(hi) ? hi : this.scores[all[last]];
+    const to = !Number.isNaN(hi) ? hi : after(this.scores[all[last]]);
     const edges = Array.from({ length: bins + 1 }, (_, i) => from + (to - from) * i / bins);
     edges[bins] = to;
     const sizes = Array.from({ length: this.voxelsMax }, (_, i) => i + 1);

@@ -1,6 +1,6 @@
 /** Atlases of the service: a list with those that are being built, or the page of one. */
 
-import { getJson } from '../lib/api.js';
+import { getJson, withQuery } from '../lib/api.js';
 import { choice, fill, h, patch, say, table } from '../lib/dom.js';
 import { bytes, count, score } from '../lib/format.js';
 import { isOpen, pathOf } from '../lib/kinds.js';
@@ -13,7 +13,7 @@ import { trayButton } from './add.js';
 import { JobParts } from './jobs.js';
 
 const POLL_MS = 2000;
-const JOBS = 50;
+const OPEN = ['queued', 'running', 'paused'];
 
 /** The page has a sheet of its own, so that other pages do not load it. */
 function loadStyle() {
@@ -58,8 +58,10 @@ export async function mount(main, [name], parameters, app) {
 
 /** Returns the jobs that build atlases and have not ended. */
 async function builds() {
-  const { items } = await getJson(`v1/jobs?kind=atlas&limit=${JOBS}`);
-  return Promise.all(items.filter(isOpen).map((job) => getJson(pathOf(job))));
+  const pages = await Promise.all(OPEN.map((state) =>
+    getJson(withQuery('v1/jobs', { kind: 'atlas', state, archived: 'all' }))));
+  const ids = new Map(pages.flatMap(({ items }) => items).map((job) => [job.id, pathOf(job)]));
+  return (await Promise.all([...ids.values()].map((path) => getJson(path)))).filter(isOpen);
 }
 
 /** Shows all atlases, and the builds in progress, or that of one atlas. */
@@ -72,6 +74,8 @@ function showList(main, { name, items, unreadable, jobs: open }, app) {
   app.setTitle(title);
   let timer;
   let isClosed = false;
+  let asked = 0;
+  let shown = 0; // replies that come late do not replace newer ones
   const showBuilds = (jobs) => patch(running, jobs.filter((job) => !name ||
     job.atlas.name === name), ({ id }) => id, () => buildCard(refresh),
   (card, job) => card.show(job));
@@ -80,9 +84,12 @@ function showList(main, { name, items, unreadable, jobs: open }, app) {
 
   async function refresh() {
     clearTimeout(timer);
+    const turn = ++asked;
     try {
       const [all, jobs] = await Promise.all([getJson('v1/atlases'), builds()]);
-      if (isClosed) return;
+      if (isClosed || turn < shown) return;
+      shown = turn;
+      clearTimeout(timer);
       if (name && all.items.some((one) => one.name === name)) {
         dispatchEvent(new HashChangeEvent('hashchange')); // now this address has a page
         return;
@@ -91,7 +98,8 @@ function showList(main, { name, items, unreadable, jobs: open }, app) {
       if (!name) showAll(all.items, all.unreadable);
       if (jobs.length) timer = setTimeout(refresh, POLL_MS);
     } catch {
-      if (!isClosed) timer = setTimeout(refresh, POLL_MS); // the banner says that it is down
+      if (isClosed || turn < asked) return;
+      timer = setTimeout(refresh, POLL_MS); // the banner says that it is down
     }
   }
 

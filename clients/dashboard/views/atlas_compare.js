@@ -1,6 +1,6 @@
 /** Two atlases compared: how many bodies have which score in the one and in the other. */
 
-import { choice, fill, h, paint, say } from '../lib/dom.js';
+import { announce, choice, fill, h, paint, say } from '../lib/dom.js';
 import { count, score } from '../lib/format.js';
 import { ticks } from '../lib/chart.js';
 import { AtlasHttp } from '../lib/atlas_http.js';
@@ -89,9 +89,15 @@ export class AtlasCompare {
   async mark(body) {
     if (!this.found) return;
     const turn = ++this.turn;
-    const there = body ? await this.other.inOther(body) : null;
-    if (turn !== this.turn) return;
-    this.at = there && [body.score, there.score];
+    this.at = null;
+    try {
+      const there = body && await this.other.inOther(body);
+      if (turn !== this.turn) return;
+      this.at = there && [body.score, there.score];
+    } catch (error) {
+      if (turn !== this.turn) return;
+      announce(error.message, { isRefusal: true });
+    }
     this.#draw();
   }
 

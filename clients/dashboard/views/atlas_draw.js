@@ -1,5 +1,5 @@
-/** The body of the page of an atlas: it is drawn as in the Lab, dropped, imported, or drawn by
- * chance. */
+/** The body of the page of an atlas: it is drawn as in the Lab, dropped, imported, or chosen at
+ * random. */
 
 import { genotypeOfId } from '../lib/body.js';
 import { announce, button, fill, h } from '../lib/dom.js';
@@ -40,8 +40,9 @@ export class AtlasDraw {
     this.element = h('section.panel.stack', { 'aria-label': 'Draw a body',
       ondragover: (event) => event.preventDefault(), ondrop: (event) => this.#drop(event) },
     h('div.row', {}, h('h2', {}, 'Draw a body'), this.undo, this.redo,
-      button('Random', async () => this.change(centered((await random()).genotype)),
-        { title: 'Any body of the atlas' }),
+      button('Random', () => random().then(({ genotype }) => this.change(centered(genotype)))
+        .catch((error) => announce(error.message, { isRefusal: true })),
+      { title: 'Any body of the atlas' }),
       button('Import', () => this.#import(), { title: 'An id, cells or voxels; you can also ' +
         'drop such a text here' })),
     this.shape.element, h('details', { open: innerWidth >= WIDE_PX },

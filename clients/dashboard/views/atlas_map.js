@@ -6,8 +6,8 @@ import { count, countOf, score, voxels } from '../lib/format.js';
 import { ticks } from '../lib/chart.js';
 
 const BINS = 72;
-/** The service has equal bins; those of the map are equal on its logarithmic axis. */
-const FINE = 1024;
+/** The service has equal bins; those of the map are equal on its axis, within half of one. */
+const FINE = 14 * BINS;
 const RIGHT_PX = 12;
 const TOP_PX = 8;
 const AXIS_PX = 34;
@@ -15,7 +15,8 @@ const AXIS_PX = 34;
 const NARROW_PX = 500;
 const ROW_PX = 34;
 const SHOWN = 24;
-/** The axis is logarithmic if scores differ by more than this factor. */
+/** The axis is logarithmic if scores differ by more than this factor, unless outliers make the
+ * bins of the service wider than its first one. */
 const LOG_FROM = 6;
 const LOG_TICKS = [1, 1.5, 2, 3, 5, 7];
 
@@ -62,27 +63,21 @@ export class AtlasMap {
     }
   }
 
-  /** Counts again in the bins of the map. */
+  /** Counts again in the bins of the map. They begin where equal bins do, so that each has exactly
+   * the bodies that a click on it lists. */
   #bin({ edges, counts }) {
     const [lo, hi] = [edges[0], edges.at(-1)];
-    this.isLog = lo > 0 && hi / lo > LOG_FROM;
+    const ratio = (hi / lo) ** (1 / BINS);
+    this.isLog = lo > 0 && hi / lo > LOG_FROM && (hi - lo) / FINE <= lo * (ratio - 1);
     const scale = this.isLog ? Math.log : (v) => v;
-    const [from, to] = [scale(lo), scale(hi) || 1];
+    const [from, to] = [scale(lo), scale(hi)];
     this.share = (value) => (scale(value) - from) / (to - from || 1);
-    this.edges = Array.from({ length: BINS + 1 }, (_, i) => {
-      const at = from + (to - from) * i / BINS;
-      return this.isLog ? Math.exp(at) : at;
-    });
-    this.edges[0] = lo;
+    const begins = Array.from({ length: BINS + 1 }, (_, i) => Math.round(FINE * (this.isLog
+      ? lo * (ratio ** i - 1) / (hi - lo) : i / BINS)));
+    this.edges = begins.map((i) => edges[i]);
     this.edges[BINS] = hi + Math.abs(hi) * 1e-6 + 1e-9; // the highest score is in the last bin
-    this.counts = counts.map((fine) => {
-      const row = new Array(BINS).fill(0);
-      fine.forEach((n, i) => {
-        const middle = (edges[i] + edges[i + 1]) / 2;
-        row[Math.min(BINS - 1, Math.max(0, Math.floor(this.share(middle) * BINS)))] += n;
-      });
-      return row;
-    });
+    this.counts = counts.map((fine) => Array.from({ length: BINS }, (_, i) =>
+      fine.slice(begins[i], begins[i + 1]).reduce((sum, n) => sum + n, 0)));
   }
 
   /** Marks the body that is shown; null: none. */
