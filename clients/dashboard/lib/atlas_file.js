@@ -204,7 +204,7 @@ export class AtlasFile {
     const voxels = new Array(n);
     for (let k = 0; k < 8; k++) {
       const turned = k > 3;
-      // Of the images that fit, those with the least sides.
+      // Of the images that fit, those with the smallest sides.
       if (turned ? !fitsTurned || (fits && a < b) : !fits || (fitsTurned && b < a)) continue;
       for (let i = 0; i < n; i++) {
         let x = turned ? cells[i][1] - low[1] : cells[i][0] - low[0];

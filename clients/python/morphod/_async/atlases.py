@@ -154,8 +154,8 @@ class Atlases:
                           orientations: Literal["images", "canonical"] | None = None,
                           name: str | None = None, label: str | None = None,
                           **settings: Any) -> AsyncAtlasBuild:
-        """Scores all bodies of at most so many voxels, and keeps the scores in an atlas: a durable
-        job. `settings` are those of the contract, such as `controller` and `physics`."""
+        """Scores all bodies of at most `voxels` voxels, and keeps the scores in an atlas: a
+        durable job. `settings` are those of the contract, such as `controller` and `physics`."""
         value = {"voxels": voxels, **_given(
             task=task, environments=environments, orientations=orientations, name=name,
             label=label), **settings}
