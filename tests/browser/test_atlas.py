@@ -14,6 +14,7 @@ from selenium.webdriver.common.keys import Keys
 
 from browser import Browser
 from contract import SOURCE
+from service import DESIGN
 from test_pages import ACCESSIBILITY
 
 ANSWERS = pathlib.Path(os.environ.get("MORPHOD", SOURCE / "build" / "src" / "daemon" / "morphod"))
@@ -23,9 +24,10 @@ VOXELS = 8
 SITE_BYTES = 3_000_000
 
 
-def write_atlas(path, voxels, levels=1000, controller=""):
-    """Returns what the library answers about an atlas with invented losses."""
-    words = [ANSWERS, path, str(voxels), str(levels), *([controller] if controller else [])]
+def write_atlas(path, voxels, levels=1000, *hashes):
+    """Returns what the library answers about an atlas with invented losses. Hashes: of its
+    controller and of its physics."""
+    words = [ANSWERS, path, str(voxels), str(levels), *hashes]
     return json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
 
 
@@ -112,7 +114,10 @@ const [items, done] = arguments;
   const refused = [bytes.slice(0, -8), bytes.slice(0, 100), new ArrayBuffer(400)].map((wrong) => {
     try { new AtlasFile(wrong, 'wrong'); } catch (error) { return error.message; }
   });
-  done({ bodies: atlas.n, optima, items: found, reach, travel, refused });
+  const { counts } = await atlas.histogram({ bins: 1000 });
+  const counted = counts.flat().reduce((sum, n) => sum + n);
+  const finite = atlas.scores.filter(Number.isFinite).length;
+  done({ bodies: atlas.n, optima, items: found, reach, travel, refused, counted, finite });
 })().catch((error) => done(String(error)));
 """
 
@@ -128,6 +133,7 @@ def test_the_page_and_the_library_agree(answers, site):
         assert got == pytest.approx(expected, rel=1e-7), expected["position"]
     assert found["reach"] == {"objective": "reach", "guide": {"kind": "fixed"}}
     assert found["travel"] == {"objective": "travel", "guide": {"kind": "ahead"}}
+    assert found["counted"] == found["finite"]
     assert [text.split()[1] for text in found["refused"]] == ["is"] * 3, found["refused"]
 
 
@@ -205,6 +211,46 @@ def test_bodies_outside_say_so(site):
     site.until("document.querySelector('.warning').innerText.includes('1 loose voxel')")
 
 
+# Makes a map of invented scores; returns the bars, and how many bodies a click on each lists.
+MAP = """
+const [scores, done] = arguments;
+(async () => {
+  const { AtlasMap } = await import(new URL('views/atlas_map.js', location.href));
+  const within = (lo, hi) => scores.filter((one) => one >= lo && one < hi).length;
+  const [low, high] = [Math.min(...scores), Math.max(...scores) * (1 + 1e-9)];
+  const atlas = {
+    async histogram({ bins }) {
+      const edges = Array.from({ length: bins + 1 }, (_, i) => low + (high - low) * i / bins);
+      return { edges, counts: [edges.slice(1).map((edge, i) => within(edges[i], edge))] };
+    },
+    async best({ lo, hi }) {
+      return { items: [], bodies: within(lo, hi) };
+    },
+  };
+  const map = new AtlasMap({ atlas, about: { sizes: [{}] }, app: { themeListeners: new Set() } });
+  while (!map.counts) await new Promise((next) => setTimeout(next, 1));
+  const listed = [];
+  for (let i = 0; i < map.counts[0].length; i++) {
+    await map.select(0, i, i);
+    listed.push(Number(map.words.textContent.split(' ')[0]));
+  }
+  map.destroy();
+  done([map.isLog, map.counts[0], listed]);
+})().catch((error) => done(String(error)));
+"""
+
+
+@pytest.mark.parametrize("highest, is_log", [(50, False), (1, True), (0.2, False)])
+def test_bars_are_what_a_click_lists(site, highest, is_log):
+    """Also with outliers, and with an axis that is logarithmic."""
+    visit(site)
+    scores = [0.06 + 0.1 * (i / 500)**2 for i in range(500)] + [highest]
+    found = site.driver.execute_async_script(MAP, scores)
+    assert isinstance(found, list), found
+    assert found[0] == is_log
+    assert found[1] == found[2] and sum(found[1]) == 501
+
+
 # Returns the ids of the best body of each size, and of the largest basins.
 MUST_WALK = """
 const [done] = arguments;
@@ -218,10 +264,16 @@ const [done] = arguments;
 """
 
 
+def inputs(service, physics=None):
+    """Returns the hashes of a controller and of physics, as walks have them."""
+    header = service.post("/v1/rollouts", {
+        "designs": [DESIGN], "record": [], "physics": physics or {}})
+    return header["controller"], header["physics_sha256"]
+
+
 def test_a_site_is_small_and_records_motion(service, answers, site, tmp_path):
     """The best of each size and footprint walk; other bodies stand, and the page says so."""
-    controller = service.get("/v1/controllers")["items"][0]["sha256"]
-    write_atlas(tmp_path / "five.atlas", 5, 1000, controller)
+    write_atlas(tmp_path / "five.atlas", 5, 1000, *inputs(service))
     url = f"http://{service.host}:{service.port}"
     made = make_site("--service", url, tmp_path / "five.atlas", tmp_path / "site")
     assert made.returncode == 0, made.stderr
@@ -238,6 +290,7 @@ def test_a_site_is_small_and_records_motion(service, answers, site, tmp_path):
             expected = page.driver.execute_async_script(MUST_WALK)
             assert len(expected) == 17 and set(expected) <= {one["id"] for one in shown}
             page.until("/^Recorded/.test(document.querySelector('.walk-words').innerText)")
+            assert "its physics, " + inputs(service)[1][:8] in page.texts(".walk-words")[0]
             page.until("document.querySelector('.stage').player.stage.durationS() > 1")
             page.driver.get(page.base + "#voxels=" + "11110000" * 2 + "0" * 128)
             page.until("/stands still/.test(document.querySelector('.stage .note').innerText) ||"
@@ -259,6 +312,14 @@ def test_the_page_of_a_service(service, browser, tmp_path):
                                     headers={"Content-Type": "application/octet-stream"})
             assert reply.status == 201, reply.body
         see_the_page(service, browser)
+
+
+# The service refuses what is asked of single bodies.
+REFUSES = """
+const ask = window.fetch;
+window.fetch = (what, how) => (String(what.url ?? what).includes('/body') ? Promise.resolve(
+  new Response('{"detail": "Out of order"}', { status: 422 })) : ask(what, how));
+"""
 
 
 def see_the_page(service, browser):
@@ -284,6 +345,9 @@ def see_the_page(service, browser):
     assert "124 bodies are in both" in browser.texts("[aria-label=Compare] p")[0]
     assert browser.run(ACCESSIBILITY) == []
     assert browser.faults() == []
+    browser.run(REFUSES)
+    browser.click("Random")
+    browser.until("document.querySelector('#toast').innerText.includes('Out of order')")
     browser.open("atlas/page-other")
     browser.until("/^It does not walk: /.test(document.querySelector('.walk-words').innerText)")
 
@@ -321,3 +385,39 @@ def test_the_tool_refuses(answers, tmp_path, bytes, words):
     assert not (tmp_path / "site").exists()
     made = make_site(answers["path"], tmp_path)
     assert made.returncode != 0 and "not empty" in made.stderr
+
+
+@pytest.mark.parametrize("at", [60, 310, 3000, -5000, -9])
+def test_the_tool_refuses_damage(answers, tmp_path, at):
+    """In the head, the environments, and blocks."""
+    damaged = bytearray(answers["path"].read_bytes())
+    damaged[at] ^= 1
+    (tmp_path / "a.atlas").write_bytes(damaged)
+    made = make_site(tmp_path / "a.atlas", tmp_path / "site")
+    assert made.returncode != 0 and "damaged: remove FILE" in made.stderr
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.atlas"]
+
+
+def test_walks_have_the_inputs_of_the_atlas(service, tmp_path):
+    """Other physics, another set of environments and a service without a token are refused."""
+    short = {"n_steps": 310, "stiffness_n_per_m": 1410}
+    write_atlas(tmp_path / "a.atlas", 3, 1000, *inputs(service, short))
+    url = f"http://{service.host}:{service.port}"
+    made = make_site("--service", url, tmp_path / "a.atlas", tmp_path / "site")
+    assert made.returncode != 0 and "with --physics" in made.stderr
+    made = make_site("--service", url, "--environments", "morpho-12-walk", tmp_path / "a.atlas",
+                     tmp_path / "site")
+    assert made.returncode != 0 and "not those of morpho-12-walk" in made.stderr
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.atlas"]
+    made = make_site("--service", url, "--physics", json.dumps(short), "--environments",
+                     "paper-test", tmp_path / "a.atlas", tmp_path / "site")
+    assert made.returncode == 0, made.stderr
+    assert json.loads((tmp_path / "site" / "site.json").read_text())["recordings"]
+    assert (tmp_path / "site").stat().st_mode & 0o777 == 0o755
+    # Once a score is stored, the service knows the physics.
+    service.evaluate({"designs": [DESIGN], "physics": short})
+    (tmp_path / "token").write_text("not needed\n")
+    (tmp_path / "empty").mkdir()
+    made = make_site("--service", url, "--token-file", tmp_path / "token", tmp_path / "a.atlas",
+                     tmp_path / "empty")
+    assert made.returncode == 0, made.stderr

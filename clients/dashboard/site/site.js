@@ -43,7 +43,8 @@ async function show() {
     }
     const [robot] = robotsOf(decodeScene(await load(file, 'arrayBuffer')));
     return { robot, words: `Recorded in the first of ${about.environments.length} environments, ` +
-      `as the canonical form stands: loss ${score(robot.loss)}` };
+      `as the canonical form stands, under the controller of the atlas and its physics, ` +
+      `${about.physics.slice(0, 8)}: loss ${score(robot.loss)}` };
   });
   const theme = button('', () => setTheme(app.theme === 'dark' ? 'light' : 'dark'));
   const nameTheme = () => {

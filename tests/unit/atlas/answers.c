@@ -1,6 +1,6 @@
 /* answers.c: writes an atlas with invented losses, and prints what the library answers about some
- * of its bodies, for tests of other readers: `atlas-answers PATH VOXELS LEVELS [CONTROLLER]`. The
- * controller is a SHA-256 in hexadecimal digits. */
+ * of its bodies, for tests of other readers: `atlas-answers PATH VOXELS LEVELS [CONTROLLER
+ * [PHYSICS]]`. Controller and physics are SHA-256 in hexadecimal digits. */
 #include "fixture.h"
 
 #include <inttypes.h>
@@ -75,14 +75,16 @@ int main(int n, char **words)
   struct mo_environment environments[MO_PAPER_TEST_COUNT];
   struct mo_message message = {""};
   struct mo_atlas *atlas = NULL;
-  if (n != 4 && n != 5)
+  if (n < 4 || n > 6)
     return 2;
   struct mo_atlas_source source = fixture_source((uint32_t)strtoul(words[2], NULL, 10));
   mo_environment_paper_test(environments);
   environments[1].task.guide = (struct mo_guide){.kind = MO_GUIDE_AHEAD, .distance_m = 1.5};
   environments[1].task.objective = MO_OBJECTIVE_TRAVEL;
   environments[1].light_xy_m[0] = environments[1].light_xy_m[1] = 0;
-  int error = n == 5 ? read_hash(words[4], source.controller_sha256) : MO_OK;
+  int error = n > 4 ? read_hash(words[4], source.controller_sha256) : MO_OK;
+  if (error == MO_OK && n > 5)
+    error = read_hash(words[5], source.physics_sha256);
   if (error == MO_OK)
     error = fixture_write(&mo_system_files, words[1], &source, environments, 3,
                           strtoull(words[3], NULL, 10), &message);
