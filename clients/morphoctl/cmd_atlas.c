@@ -12,8 +12,7 @@
 #define BINS_MAX        1024
 #define MAP_BINS_MAX    64
 
-/* Makes the path of the atlas in the first operand. below: "" or "/file". */
-static const char *atlas_path(const struct ctl *ctl, const char *below)
+const char *atlas_path(const struct ctl *ctl, const char *below)
 {
   return path_to("/v1/atlases/%s%s", escape(ctl->operands[0]), below);
 }

@@ -8,11 +8,6 @@
   ">rank={rank:,}|>percentile={percentile:.2f}|>score=[{score:.4f}|diverged]|>voxels={voxels}"     \
   "|body={id}"
 
-static const char *atlas_path(const struct ctl *ctl, const char *below)
-{
-  return path_to("/v1/atlases/%s%s", escape(ctl->operands[0]), below);
-}
-
 /* Makes the path of a query about the body in the second operand, or at --position, with the
  * options of the command that are parameters. */
 static const char *body_path(struct ctl *ctl, const char *below)

@@ -47,18 +47,20 @@ const json_t *await_job(struct ctl *ctl, const json_t *job, const char *noun);
  * with results. */
 json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait);
 
+/* ---- cmd_atlas.c ---- */
+/* Makes the path of the atlas in the first operand. below: "" or a part such as "/file". */
+const char *atlas_path(const struct ctl *ctl, const char *below);
+
 /* ---- cmd_suite.c ---- */
 void run_suite(struct ctl *ctl);
 void run_suite_show(struct ctl *ctl);
 void run_suite_picture(struct ctl *ctl);
 
 /* ---- cmd_eval.c ---- */
-
 /* Saves trajectories of an evaluation as NumPy files, with evaluation.json, in a new folder. */
 void save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder);
 
 /* ---- cmd_film.c ---- */
-
 /* Checks --film and the drawing options before anything is computed. */
 void film_check(struct ctl *ctl);
 /* With --film, draws the masses that a finished evaluation recorded: of up to 16 designs, the best
