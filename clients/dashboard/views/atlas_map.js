@@ -6,7 +6,7 @@ import { count, countOf, score, voxels } from '../lib/format.js';
 import { ticks } from '../lib/chart.js';
 
 const BINS = 72;
-/** The service has equal bins; those of the map are equal on its axis, within half of one. */
+/** The bins of a request are equal, those of the map on its axis, within half of one of these. */
 const FINE = 14 * BINS;
 const RIGHT_PX = 12;
 const TOP_PX = 8;
@@ -15,10 +15,24 @@ const AXIS_PX = 34;
 const NARROW_PX = 500;
 const ROW_PX = 34;
 const SHOWN = 24;
-/** The axis is logarithmic if scores differ by more than this factor, unless outliers make the
- * bins of the service wider than its first one. */
+/** The axis is logarithmic if scores differ by more than this factor. */
 const LOG_FROM = 6;
 const LOG_TICKS = [1, 1.5, 2, 3, 5, 7];
+
+const isWide = (lo, hi) => lo > 0 && hi / lo > LOG_FROM;
+
+/** Returns the score below which finer bins are needed, because outliers make equal bins wider than
+ * the first one of a logarithmic axis; 0: none are. */
+function cutOf(lo, hi) {
+  const first = lo * ((hi / lo) ** (1 / BINS) - 1);
+  return isWide(lo, hi) && (hi - lo) / FINE > first ? lo + FINE * first : 0;
+}
+
+/** Returns which edge is the nearest to a place between the first and the last. */
+function nearest(edges, place) {
+  const i = edges.findIndex((edge) => edge >= place);
+  return i > 0 && place - edges[i - 1] < edges[i] - place ? i - 1 : Math.max(0, i);
+}
 
 export class AtlasMap {
   /** @param {any} page of an atlas */
@@ -55,29 +69,36 @@ export class AtlasMap {
   }
 
   async #load() {
+    const { atlas } = this.page;
     try {
-      this.#bin(await this.page.atlas.histogram({ bins: FINE }));
-      this.#draw();
+      const all = await atlas.histogram({ bins: FINE });
+      const cut = cutOf(all.edges[0], all.edges.at(-1));
+      if (!cut) return this.#bin(all);
+      const [low, high] = await Promise.all([atlas.histogram({ bins: FINE, hi: cut }),
+        atlas.histogram({ bins: FINE, lo: cut })]);
+      this.#bin({ edges: [...low.edges, ...high.edges.slice(1)],
+        counts: low.counts.map((row, i) => [...row, ...high.counts[i]]) });
     } catch (error) {
       say(this.words, error.message);
     }
   }
 
-  /** Counts again in the bins of the map. They begin where equal bins do, so that each has exactly
+  /** Counts again in the bins of the map. They begin where fine ones do, so that each has exactly
    * the bodies that a click on it lists. */
   #bin({ edges, counts }) {
     const [lo, hi] = [edges[0], edges.at(-1)];
-    const ratio = (hi / lo) ** (1 / BINS);
-    this.isLog = lo > 0 && hi / lo > LOG_FROM && (hi - lo) / FINE <= lo * (ratio - 1);
+    this.isLog = isWide(lo, hi);
     const scale = this.isLog ? Math.log : (v) => v;
     const [from, to] = [scale(lo), scale(hi)];
     this.share = (value) => (scale(value) - from) / (to - from || 1);
-    const begins = Array.from({ length: BINS + 1 }, (_, i) => Math.round(FINE * (this.isLog
-      ? lo * (ratio ** i - 1) / (hi - lo) : i / BINS)));
+    const begins = Array.from({ length: BINS + 1 }, (_, i) => nearest(edges, this.isLog
+      ? lo * (hi / lo) ** (i / BINS) : lo + (hi - lo) * i / BINS));
+    begins[BINS] = edges.length - 1;
     this.edges = begins.map((i) => edges[i]);
     this.edges[BINS] = hi + Math.abs(hi) * 1e-6 + 1e-9; // the highest score is in the last bin
     this.counts = counts.map((fine) => Array.from({ length: BINS }, (_, i) =>
       fine.slice(begins[i], begins[i + 1]).reduce((sum, n) => sum + n, 0)));
+    this.#draw();
   }
 
   /** Marks the body that is shown; null: none. */
