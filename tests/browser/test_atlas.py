@@ -110,14 +110,14 @@ const [items, done] = arguments;
       percentile: body.percentile, neighbors: body.best_changes.length, best: best.position,
       step: best.step, optimum: optimum.position, basin: basins.get(optimum.position) });
   }
-  const [reach, travel] = atlas.environments.map((one) => one.task);
+  const [reach, travel, varied] = atlas.environments.map((one) => one.task);
   const refused = [bytes.slice(0, -8), bytes.slice(0, 100), new ArrayBuffer(400)].map((wrong) => {
     try { new AtlasFile(wrong, 'wrong'); } catch (error) { return error.message; }
   });
   const { counts } = await atlas.histogram({ bins: 1000 });
   const counted = counts.flat().reduce((sum, n) => sum + n);
   const finite = atlas.scores.filter(Number.isFinite).length;
-  done({ bodies: atlas.n, optima, items: found, reach, travel, refused, counted, finite });
+  done({ bodies: atlas.n, optima, items: found, reach, travel, varied, refused, counted, finite });
 })().catch((error) => done(String(error)));
 """
 
@@ -133,6 +133,7 @@ def test_the_page_and_the_library_agree(answers, site):
         assert got == pytest.approx(expected, rel=1e-7), expected["position"]
     assert found["reach"] == {"objective": "reach", "guide": {"kind": "fixed"}}
     assert found["travel"] == {"objective": "travel", "guide": {"kind": "ahead"}}
+    assert found["varied"] == found["travel"], "an environment with factors is packed otherwise"
     assert found["counted"] == found["finite"]
     assert [text.split()[1] for text in found["refused"]] == ["is"] * 3, found["refused"]
 

@@ -29,7 +29,8 @@ export class AtlasError extends Error {}
 /** Returns the task of a packed environment as far as words need it (src/world/environment.h). */
 function taskOfPacked(view, at, version) {
   if (version < 2) return { objective: 'reach', guide: { kind: 'fixed' } };
-  const numbers = 105 + (version > 2 ? 1 : 0) + (version > 3 ? 1 : 0) + (version > 4 ? 8 : 0);
+  const numbers = 105 + (version > 2 ? 1 : 0) + (version > 3 ? 1 : 0) + (version > 4 ? 8 : 0) +
+    (version > 6 ? 6 : 0);
   const words = at + 8 * numbers;
   return { objective: OBJECTIVES[view.getUint32(words + 8, true)] ?? 'weighted sum',
     guide: { kind: GUIDES[view.getUint32(words, true)] } };

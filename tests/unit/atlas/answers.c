@@ -82,6 +82,10 @@ int main(int n, char **words)
   environments[1].task.guide = (struct mo_guide){.kind = MO_GUIDE_AHEAD, .distance_m = 1.5};
   environments[1].task.objective = MO_OBJECTIVE_TRAVEL;
   environments[1].light_xy_m[0] = environments[1].light_xy_m[1] = 0;
+  environments[2].task = environments[1].task;
+  environments[2].light_xy_m[0] = environments[2].light_xy_m[1] = 0;
+  environments[2].factors = mo_factors_ones();
+  environments[2].factors.mass = 1.25;
   int error = n > 4 ? read_hash(words[4], source.controller_sha256) : MO_OK;
   if (error == MO_OK && n > 5)
     error = read_hash(words[5], source.physics_sha256);
