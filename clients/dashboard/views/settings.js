@@ -54,8 +54,8 @@ export function placeOf(environment) {
   const meters = light?.map((one) => Number(one.toFixed(3))).join(', ');
   return [taskWords([{ task }]) || 'photo', light ? `light at (${meters}) m` : '',
     terrain ? `terrain ${terrain.kind}` : heights ? (flat ? 'flat' : 'rough ground') : '',
-    damage ? 'damage' : '', Object.entries(factors ?? {}).map(([name, by]) => `${name} × ${by}`)
-      .join(', '), sha256.slice(0, 12)].filter(Boolean).join(' · ');
+    damage ? 'damage' : '', Object.entries(factors ?? {}).map((one) => one.join(' × ')).join(', '),
+    sha256.slice(0, 12)].filter(Boolean).join(' · ');
 }
 
 /** Loads the environments of a job; [] if they cannot be listed. */
