@@ -237,25 +237,31 @@ def test_refusals(service, change, pointer):
     assert reply.status == 422 and reply.pointers() == [pointer], reply.body
 
 
-def test_stops_and_pauses(service, built, start, tmp_path):
-    """A service that stops and starts again, with pauses in between: the same file."""
-    expected = file_of(service, built["images"]["atlas"]["name"]).read_bytes()
+def test_stops_and_pauses(service, start, tmp_path):
+    """A service that stops and starts again, with pauses in between: the same file. The job is long
+    enough that it is not over when its first bodies are durable."""
+    value = REQUEST | {"physics": {"n_steps": 4000}}
+    whole = build(service, value | {"name": "undisturbed"})
+    expected = file_of(service, "undisturbed").read_bytes()
     state = tmp_path / "state"
     keeper = start("--workers=1", state=state)
-    path = f"/v1/jobs/{keeper.post('/v1/atlases', REQUEST | {'name': 'mine'})['id']}"
-    done = 0
+    path = f"/v1/jobs/{keeper.post('/v1/atlases', value | {'name': 'mine'})['id']}"
+    done, stops, pauses = 0, 0, 0
     for stop in range(4):
         job = awaited(keeper, path, lambda job, least=done: job["atlas"]["bodies_done"] > least or
                       job["state"] in ENDED)
         done = job["atlas"]["bodies_done"]
         if stop % 2 == 0 and keeper.act(job["id"], "pause").status == 200:
             assert keeper.get(path)["state"] == "paused"
+            pauses += 1
             keeper.act(job["id"], "resume")
         assert keeper.stop() == 0
         keeper = start("--workers=2", state=state)
+        stops += keeper.get(path)["state"] not in ENDED
+    assert stops > 0 and pauses > 0, "the job was over too soon"
     job = await_end(keeper, path).json()
     assert job["state"] == "succeeded" and job["attempts"] == 0
-    assert job["atlas"]["rollouts_done"] == built["images"]["atlas"]["rollouts_done"]
+    assert job["atlas"]["rollouts_done"] == whole["atlas"]["rollouts_done"]
     assert (state / "atlases" / "mine.atlas").read_bytes() == expected
 
 
