@@ -101,9 +101,9 @@ int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, co
  * MO_ERR_NO_MEMORY: try again; until then, saved bodies of the last block may be lost. MO_ERR_IO:
  * as for mo_atlas_writer_add. */
 int mo_atlas_writer_save(struct mo_atlas_writer *writer);
-/* Completes the file durably. MO_ERR_INVALID: bodies are missing; otherwise as for
- * mo_atlas_writer_add. After an error, PATH may exist: then it is complete, but its name may not
- * survive a power failure. */
+/* Completes the file durably. MO_ERR_INVALID: bodies are missing; MO_ERR_CONFLICT: PATH exists by
+ * now, and was not touched; remove it and call again. Otherwise as for mo_atlas_writer_add: after
+ * such an error, PATH may be the complete file, but its name may not survive a power failure. */
 int mo_atlas_writer_finish(struct mo_atlas_writer *writer, struct mo_message *message);
 
 /* A file, mapped read-only. Const after it is opened: any number of threads may use it. It must not

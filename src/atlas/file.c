@@ -150,6 +150,7 @@ static int read_all(int fd, struct mo_atlas *atlas, struct mo_message *message)
   memcpy(atlas->source.controller_sha256, head.controller.bytes, sizeof(head.controller.bytes));
   memcpy(atlas->source.physics_sha256, head.physics.bytes, sizeof(head.physics.bytes));
   memcpy(atlas->source.fingerprint, head.fingerprint, sizeof(head.fingerprint));
+  atlas->environments_sha256 = head.environments;
   mo_atlas_layout_fill(&head, &atlas->layout);
   mo_atlas_sets_fill(atlas->source.scope.workspace, &atlas->sets);
   error = read_environments(fd, &head, atlas);
@@ -207,6 +208,29 @@ void mo_atlas_close(struct mo_atlas *atlas)
 }
 
 /* ---- content ---- */
+
+int mo_atlas_is_of(const struct mo_atlas *atlas, const struct mo_atlas_source *source,
+                   const struct mo_environment *environments, uint32_t n, bool *is_of)
+{
+  const struct mo_atlas_source *own = &atlas->source;
+  struct mo_sha256 hash;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  const int error = mo_atlas_environments_pack(environments, n, &bytes, &size);
+  if (error != MO_OK)
+    return error;
+  mo_sha256_of(bytes, size, &hash);
+  free(bytes);
+  *is_of = mo_workspace_equal(own->scope.workspace, source->scope.workspace) &&
+           own->scope.voxels_max == source->scope.voxels_max &&
+           own->orientations == source->orientations && atlas->layout.n_environments == n &&
+           mo_sha256_equal(&hash, &atlas->environments_sha256) &&
+           memcmp(own->controller_sha256, source->controller_sha256,
+                  sizeof(own->controller_sha256)) == 0 &&
+           memcmp(own->physics_sha256, source->physics_sha256, sizeof(own->physics_sha256)) == 0 &&
+           strcmp(own->fingerprint, source->fingerprint) == 0;
+  return MO_OK;
+}
 
 const struct mo_atlas_source *mo_atlas_source_of(const struct mo_atlas *atlas)
 {

@@ -9,9 +9,10 @@ struct mo_atlas {
   struct mo_atlas_layout layout;
   struct mo_atlas_sets sets;
   struct mo_environment *environments;
-  struct mo_atlas_block *blocks; /* all */
-  uint64_t *first_keys;          /* (blocks) */
-  uint8_t *mapped;               /* the file, read-only */
+  struct mo_sha256 environments_sha256; /* of their bytes in the file */
+  struct mo_atlas_block *blocks;        /* all */
+  uint64_t *first_keys;                 /* (blocks) */
+  uint8_t *mapped;                      /* the file, read-only */
   size_t bytes;
 };
 
@@ -19,6 +20,10 @@ struct mo_atlas {
  * bounds and match the file's size. MO_ERR_FORMAT, MO_ERR_UNSUPPORTED, MO_ERR_CORRUPT. */
 int mo_atlas_head_check(const struct mo_atlas_head *head, uint64_t file_bytes,
                         struct mo_message *message);
+
+/* Finds out whether a file has this source and these environments. MO_ERR_NO_MEMORY. */
+int mo_atlas_is_of(const struct mo_atlas *atlas, const struct mo_atlas_source *source,
+                   const struct mo_environment *environments, uint32_t n, bool *is_of);
 
 /* Finds the body with a key. MO_ERR_NOT_FOUND. */
 int mo_atlas_find_key(const struct mo_atlas *atlas, uint32_t n_voxels, uint64_t key,

@@ -34,6 +34,7 @@ struct mo_atlas_writer {
   char *path, *part;
   int fd;
   int error;         /* of an earlier call, after which nothing is written */
+  bool is_named;     /* PATH.part has become PATH */
   uint64_t position; /* the next body, which is the one with next_key */
   uint64_t next_key;
   bool knows_next;    /* or there is none */
@@ -50,6 +51,12 @@ static int fail_at(const struct mo_atlas_writer *writer, int error, const char *
                    struct mo_message *message)
 {
   return mo_fail(message, error, "cannot %s %.150s: %s", what, writer->part, strerror(errno));
+}
+
+static int fail_exists(const struct mo_atlas_writer *writer, struct mo_message *message)
+{
+  return mo_fail(message, MO_ERR_CONFLICT,
+                 "%.150s exists already: remove it, or choose another name", writer->path);
 }
 
 /* ---- writing ---- */
@@ -234,8 +241,10 @@ int mo_atlas_writer_finish(struct mo_atlas_writer *writer, struct mo_message *me
     return mo_fail(message, MO_ERR_INVALID,
                    "the atlas lacks %llu of %llu bodies: add them before it is finished",
                    (unsigned long long)(bodies - writer->position), (unsigned long long)bodies);
-  if (writer->files->rename(writer->part, writer->path) != 0)
-    return fail_at(writer, mo_file_error(), "rename", message);
+  if (!writer->is_named && writer->files->rename_new(writer->part, writer->path) != 0)
+    return errno == EEXIST ? fail_exists(writer, message)
+                           : fail_at(writer, mo_file_error(), "rename", message);
+  writer->is_named = true;
   const int error = sync_folder(writer);
   return error == MO_OK ? MO_OK : fail_at(writer, error, "sync the folder of", message);
 }
@@ -333,10 +342,7 @@ static int lock(struct mo_atlas_writer *writer, struct stat *status, struct mo_m
 
 static int refuse_complete(const struct mo_atlas_writer *writer, struct mo_message *message)
 {
-  if (access(writer->path, F_OK) != 0)
-    return MO_OK;
-  return mo_fail(message, MO_ERR_CONFLICT,
-                 "%.150s exists already: remove it, or choose another name", writer->path);
+  return access(writer->path, F_OK) == 0 ? fail_exists(writer, message) : MO_OK;
 }
 
 static int begin(struct mo_atlas_writer *writer, struct mo_message *message)

@@ -9,8 +9,18 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-const struct mo_file_operations mo_system_files = {open,   write,  fsync, close,
-                                                   rename, unlink, mkdir, rmdir};
+/* Some file systems, such as those of networks, only have links. */
+static int rename_new(const char *from, const char *to)
+{
+  if (renameat2(AT_FDCWD, from, AT_FDCWD, to, RENAME_NOREPLACE) == 0)
+    return 0;
+  if (errno != EINVAL && errno != ENOSYS)
+    return -1;
+  return link(from, to) == 0 ? unlink(from) : -1;
+}
+
+const struct mo_file_operations mo_system_files = {open,       write,  fsync, close, rename,
+                                                   rename_new, unlink, mkdir, rmdir};
 
 int mo_open_error(void)
 {

@@ -17,6 +17,7 @@ struct mo_file_operations {
   int (*sync)(int fd); /* of a file or folder */
   int (*close)(int fd);
   int (*rename)(const char *from, const char *to);
+  int (*rename_new)(const char *from, const char *to); /* fails with EEXIST if `to` exists */
   int (*unlink)(const char *path);
   int (*mkdir)(const char *path, mode_t mode);
   int (*rmdir)(const char *path);

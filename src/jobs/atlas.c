@@ -12,6 +12,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "atlas/file.h"
 #include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/atlas_wave.h"
@@ -101,49 +102,53 @@ static void advance(struct run *run, double rollouts_per_s)
 
 /* ---- the file ---- */
 
-/* Returns whether a complete file is the one that this job writes. Nobody else uses its name while
- * the job is open, so an earlier attempt ended right before its job did. */
-static bool is_own(const struct run *run, const struct mo_atlas *atlas)
-{
-  const struct mo_atlas_source *found = mo_atlas_source_of(atlas), *own = &run->source;
-  uint32_t n = 0;
-  (void)mo_atlas_environments(atlas, &n);
-  return found->scope.voxels_max == own->scope.voxels_max &&
-         found->orientations == own->orientations && n == run->n_environments &&
-         memcmp(found->controller_sha256, own->controller_sha256, sizeof(own->controller_sha256)) ==
-             0 &&
-         memcmp(found->physics_sha256, own->physics_sha256, sizeof(own->physics_sha256)) == 0 &&
-         strcmp(found->fingerprint, own->fingerprint) == 0;
-}
-
-/* Finds out what a file of the atlas's name is. MO_OK: it was removed, or run->is_complete. */
-static int resolve(struct run *run)
+/* Finds out what the file with the atlas's name is. MO_OK: it is complete and has what this job
+ * writes, so run->is_complete. Nobody else uses the name while the job is open, so an earlier
+ * attempt ended right before its job did. MO_ERR_NOT_FOUND; MO_ERR_DUPLICATE: it is another one,
+ * and the job gives up. */
+static int adopt(struct run *run)
 {
   struct mo_atlas_record *record = &run->status.record;
   struct mo_message message = {.text = ""};
   struct mo_atlas *atlas = NULL;
+  bool is_own = false;
   char *path = mo_store_atlas_path(run->jobs->store, record->name);
   if (path == NULL)
     return MO_ERR_NO_MEMORY;
   int error = mo_atlas_open(path, &atlas, &message);
   free(path);
-  if (error == MO_ERR_NOT_FOUND) {
-    mo_runner_warn(run->runner, MO_ERR_CONFLICT,
-                   "the unfinished atlas was computed by other code; it is built from the start");
-    return mo_store_atlas_restart(run->jobs->store, record->name);
-  }
-  if (error == MO_ERR_NO_MEMORY)
+  if (error == MO_ERR_NOT_FOUND || error == MO_ERR_NO_MEMORY)
     return error;
-  if (error == MO_OK && is_own(run, atlas)) {
-    run->is_complete = true;
-    record->bodies_total = mo_atlas_bodies_of(atlas);
-  } else {
+  if (error == MO_ERR_IO)
+    return mo_runner_fail(run->runner, error, message.text);
+  if (error == MO_OK)
+    error = mo_atlas_is_of(atlas, &run->source, run->environments, run->n_environments, &is_own);
+  else
+    error = MO_OK; /* damaged, or of another kind */
+  if (error == MO_OK && !is_own)
     error = mo_runner_give_up(run->runner, MO_ERR_DUPLICATE,
                               "another atlas has got the name of this one; delete or rename it, "
                               "then resume the job");
+  if (error == MO_OK) /* that attempt may not have synced its name */
+    error = mo_store_atlases_sync(run->jobs->store);
+  if (error == MO_OK) {
+    (void)mo_store_atlas_restart(run->jobs->store, record->name); /* a file nobody needs */
+    run->is_complete = true;
+    record->bodies_total = mo_atlas_bodies_of(atlas);
   }
   mo_atlas_close(atlas);
   return error;
+}
+
+/* Finds out why the writer refused to begin. MO_OK: try again, unless run->is_complete. */
+static int resolve(struct run *run)
+{
+  const int error = adopt(run);
+  if (error != MO_ERR_NOT_FOUND)
+    return error;
+  mo_runner_warn(run->runner, MO_ERR_CONFLICT,
+                 "the unfinished atlas was computed by other code; it is built from the start");
+  return mo_store_atlas_restart(run->jobs->store, run->status.record.name);
 }
 
 static int open_writer(void *context)
@@ -157,12 +162,18 @@ static int open_writer(void *context)
   for (int i = 0; i < 2 && error == MO_ERR_CONFLICT && !run->is_complete; i++) {
     error = mo_store_atlas_writer(store, run->status.record.name, &run->source, run->environments,
                                   run->n_environments, &run->writer, &message);
-    if (error == MO_ERR_CONFLICT && resolve(run) != MO_OK)
-      return run->runner->text[0] != '\0' ? MO_ERR_DUPLICATE : MO_ERR_NO_MEMORY;
+    if (error == MO_ERR_CONFLICT) {
+      const int unresolved = resolve(run);
+      if (unresolved != MO_OK)
+        return unresolved;
+    }
   }
-  if (run->is_complete)
+  if (run->is_complete || error == MO_OK)
     return MO_OK;
-  return error == MO_OK ? MO_OK : mo_runner_fail(run->runner, error, message.text);
+  run->runner->busy_text = "another process writes the unfinished file of this atlas; stop it, and "
+                           "the job will continue";
+  return mo_runner_fail(run->runner, error == MO_ERR_CONFLICT ? MO_ERR_DUPLICATE : error,
+                        message.text);
 }
 
 /* Adds the next bodies that have their losses. */
@@ -352,6 +363,7 @@ static int find_place(struct run *run)
 {
   struct mo_atlas_record *record = &run->status.record;
   int error = mo_runner_persist(run->runner, open_writer, run, "the atlas");
+  run->runner->busy_text = NULL;
   if (error != MO_OK)
     return error;
   run->runner->text[0] = '\0';
@@ -399,17 +411,30 @@ static int prepare(struct run *run)
   return error;
 }
 
+/* Gives the file its name. If another file has got it meanwhile, that one stays. */
+static int finish_file(struct run *run)
+{
+  struct mo_message message = {.text = ""};
+  int error = mo_atlas_writer_finish(run->writer, &message);
+  if (error == MO_ERR_CONFLICT)
+    error = adopt(run);
+  if (error == MO_ERR_NOT_FOUND) /* it has gone again */
+    error = mo_atlas_writer_finish(run->writer, &message);
+  if (error == MO_ERR_CONFLICT)
+    error = MO_ERR_DUPLICATE;
+  run->is_complete = error == MO_OK;
+  return error == MO_OK || run->runner->text[0] != '\0'
+             ? error
+             : mo_runner_fail(run->runner, error, message.text);
+}
+
 static int write_end(void *context)
 {
   struct run *run = context;
-  struct mo_message message = {.text = ""};
-  if (!run->is_complete) {
-    const int error = mo_atlas_writer_finish(run->writer, &message);
-    if (error != MO_OK)
-      return mo_runner_fail(run->runner, error, message.text);
-    run->is_complete = true;
-  }
-  return mo_store_atlas_finish(run->jobs->store, run->id, &run->status.record);
+  run->runner->text[0] = '\0';
+  const int error = run->is_complete ? MO_OK : finish_file(run);
+  return error == MO_OK ? mo_store_atlas_finish(run->jobs->store, run->id, &run->status.record)
+                        : error;
 }
 
 static int run_atlas(struct mo_runner *runner, void *context)

@@ -175,7 +175,10 @@ int mo_runner_persist(struct mo_runner *runner, int (*write)(void *context), voi
   int error;
   while (is_temporary(runner, error = write(context))) {
     if (phase == MO_PHASE_WAIT) {
-      snprintf(reason, sizeof(reason), temporary_text(error), what);
+      if (error == MO_ERR_BUSY && runner->busy_text != NULL)
+        snprintf(reason, sizeof(reason), "%s", runner->busy_text);
+      else
+        snprintf(reason, sizeof(reason), temporary_text(error), what);
       phase = mo_runner_set_waiting(runner, true, MO_PHASE_WAIT, reason);
       mo_runner_warn(runner, error, reason);
     }

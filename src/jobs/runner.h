@@ -58,7 +58,8 @@ struct mo_runner {
   bool is_short;     /* lacks memory: results that cannot be saved at once are recomputed later */
   bool gives_up;     /* this attempt is the last one */
   int error;
-  char text[256];                 /* of the error */
+  char text[256];        /* of the error */
+  const char *busy_text; /* why a write has to wait; NULL: another program locked the database */
   struct mo_compute_share *share; /* of the job, while it runs */
 };
 

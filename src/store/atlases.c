@@ -11,6 +11,7 @@
 #include "store/atlas_rows.h"
 #include "store/contents.h"
 #include "store/controller_rows.h"
+#include "store/folder.h"
 #include "store/jobs.h"
 #include "store/runs.h"
 #include "store/warnings.h"
@@ -149,6 +150,11 @@ int mo_store_atlas_restart(struct mo_store *store, const char *name)
   return error;
 }
 
+int mo_store_atlases_sync(struct mo_store *store)
+{
+  return mo_folder_sync(store, store->atlases_path);
+}
+
 bool mo_store_is_short(const struct mo_store *store)
 {
   return atomic_load(&store->is_short);
@@ -196,8 +202,8 @@ int mo_store_atlas_finish(struct mo_store *store, int64_t id, const struct mo_at
   if (error == MO_ERR_CONFLICT && mo_store_job(store, id, &job) == MO_OK &&
       job.state == MO_JOB_CANCELLED) {
     char *path = mo_store_atlas_path(store, record->name);
-    if (path != NULL)
-      (void)store->files->unlink(path);
+    if (path != NULL && store->files->unlink(path) == 0)
+      (void)mo_store_atlases_sync(store);
     free(path);
   }
   return error;

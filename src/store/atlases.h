@@ -61,6 +61,8 @@ int mo_store_atlas_writer(struct mo_store *store, const char *name,
                           struct mo_atlas_writer **writer, struct mo_message *message);
 /* Removes an unfinished file that a writer refused. */
 int mo_store_atlas_restart(struct mo_store *store, const char *name);
+/* Makes the names of all atlas files durable. MO_ERR_NO_MEMORY, MO_ERR_IO. */
+int mo_store_atlases_sync(struct mo_store *store);
 /* Returns whether the disk is full, so that only urgent writes may use the rest of it. */
 bool mo_store_is_short(const struct mo_store *store);
 /* Stores the progress, with the event "atlas.progress". data: a JSON object; NULL: no event,

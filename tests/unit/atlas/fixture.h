@@ -4,7 +4,7 @@
 
 #include "../make.h"
 
-#include "atlas/format.h"
+#include "atlas/file.h"
 #include "atlas/writer.h"
 #include "morphospace/form_set.h"
 

@@ -193,6 +193,46 @@ static void conflicts(void)
   CHECK(access(part, F_OK) != 0);
 }
 
+/* A file that gets the name meanwhile stays. */
+static void taken_meanwhile(void)
+{
+  size_t size;
+  const uint8_t *bytes = whole(&size);
+  struct mo_message message = {""};
+  struct mo_atlas_writer *writer = create(&message, MO_OK);
+  REQUIRE_OK(fixture_add(writer, &source, N, LEVELS, mo_atlas_writer_bodies(writer)));
+  FILE *file = fopen(path, "wb");
+  REQUIRE(file != NULL);
+  CHECK(fputs("somebody's", file) >= 0);
+  CHECK_OK(fclose(file));
+  CHECK_INT(mo_atlas_writer_finish(writer, &message), MO_ERR_CONFLICT);
+  CHECK_SAYS(message, "exists already: remove it");
+  CHECK(has_bytes((const uint8_t *)"somebody's", 10));
+  CHECK_OK(unlink(path));
+  CHECK_OK(mo_atlas_writer_finish(writer, &message));
+  CHECK_OK(mo_atlas_writer_finish(writer, &message)); /* once more does no harm */
+  mo_atlas_writer_free(writer);
+  CHECK(has_bytes(bytes, size) && access(part, F_OK) != 0);
+}
+
+static void other_environments(void)
+{
+  size_t size;
+  bool is_of = false;
+  (void)whole(&size);
+  struct mo_message message = {""};
+  CHECK_OK(fixture_write(&mo_system_files, path, &source, environments, N, LEVELS, &message));
+  const struct mo_atlas *atlas = fixture_open(path);
+  CHECK(mo_atlas_is_of(atlas, &source, environments, N, &is_of) == MO_OK && is_of);
+  CHECK(mo_atlas_is_of(atlas, &source, environments, N - 1, &is_of) == MO_OK && !is_of);
+  environments[1].light_xy_m[0] += 0.5;
+  CHECK(mo_atlas_is_of(atlas, &source, environments, N, &is_of) == MO_OK && !is_of);
+  environments[1].light_xy_m[0] -= 0.5;
+  source.physics_sha256[3] ^= 1;
+  CHECK(mo_atlas_is_of(atlas, &source, environments, N, &is_of) == MO_OK && !is_of);
+  source.physics_sha256[3] ^= 1;
+}
+
 static void wrong_sources(void)
 {
   const struct mo_atlas_source right = source;
@@ -287,7 +327,7 @@ static int sync_fails(int fd)
 }
 static int rename_fails(const char *from, const char *to)
 {
-  return fails() ? -1 : rename(from, to);
+  return fails() ? -1 : mo_system_files.rename_new(from, to);
 }
 
 static void failing_disk(int error)
@@ -299,7 +339,7 @@ static void failing_disk(int error)
   int result = MO_ERR_IO;
   files.write = write_some;
   files.sync = sync_fails;
-  files.rename = rename_fails;
+  files.rename_new = rename_fails;
   fault = error == MO_ERR_NO_SPACE ? ENOSPC : EIO;
   for (failing = 1; result != MO_OK && failing < 1000; failing++) {
     struct mo_message message = {""};
@@ -401,6 +441,8 @@ static const struct check_case cases[] = {
     {"an end of anything", torn},
     {"an altered block", altered_block},
     {"other files and writers", conflicts},
+    {"a name that is taken meanwhile", taken_meanwhile},
+    {"a file of other environments", other_environments},
     {"sources that are refused", wrong_sources},
     {"bodies and losses that are refused", wrong_bodies},
     {"a full disk", WITH(failing_disk, MO_ERR_NO_SPACE)},

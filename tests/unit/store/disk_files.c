@@ -111,14 +111,14 @@ static int disk_close(int fd)
   return close(fd);
 }
 
-/* Adds or removes a name. to: the new name of a rename. */
-static int change_name(enum name_kind kind, const char *path, const char *to)
+/* Adds or removes a name. to: the new name of a rename; is_new: it must not exist. */
+static int change_name(enum name_kind kind, bool is_new, const char *path, const char *to)
 {
   int result = -1;
   pthread_mutex_lock(&disk->mutex);
   enum turn turn = change(false, kind == NAME_RENAMED || kind == NAME_MADE);
   if (turn != TURN_OFF)
-    result = kind == NAME_RENAMED   ? rename(path, to)
+    result = kind == NAME_RENAMED   ? (is_new ? mo_system_files.rename_new : rename)(path, to)
              : kind == NAME_MADE    ? mkdir(path, 0700)
              : kind == NAME_REMOVED ? unlink(path)
                                     : rmdir(path);
@@ -130,30 +130,35 @@ static int change_name(enum name_kind kind, const char *path, const char *to)
 
 static int disk_rename(const char *from, const char *to)
 {
-  return change_name(NAME_RENAMED, from, to);
+  return change_name(NAME_RENAMED, false, from, to);
+}
+
+static int disk_rename_new(const char *from, const char *to)
+{
+  return change_name(NAME_RENAMED, true, from, to);
 }
 
 static int disk_unlink(const char *path)
 {
-  return change_name(NAME_REMOVED, path, NULL);
+  return change_name(NAME_REMOVED, false, path, NULL);
 }
 
 static int disk_mkdir(const char *path, mode_t mode)
 {
   (void)mode;
-  return change_name(NAME_MADE, path, NULL);
+  return change_name(NAME_MADE, false, path, NULL);
 }
 
 static int disk_rmdir(const char *path)
 {
-  return change_name(NAME_FOLDER_REMOVED, path, NULL);
+  return change_name(NAME_FOLDER_REMOVED, false, path, NULL);
 }
 
 const struct mo_file_operations *disk_files(struct disk *used)
 {
-  static const struct mo_file_operations operations = {disk_open,  disk_write,  disk_sync,
-                                                       disk_close, disk_rename, disk_unlink,
-                                                       disk_mkdir, disk_rmdir};
+  static const struct mo_file_operations operations = {disk_open,   disk_write,  disk_sync,
+                                                       disk_close,  disk_rename, disk_rename_new,
+                                                       disk_unlink, disk_mkdir,  disk_rmdir};
   disk = used;
   return &operations;
 }
