@@ -97,9 +97,9 @@ uint64_t mo_atlas_writer_bodies(const struct mo_atlas_writer *writer);   /* in a
  * (MO_ERR_INVALID: nothing was added). MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: nothing was added; try
  * again later. After MO_ERR_IO, free the writer; a new one continues. */
 int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses);
-/* Makes all added bodies durable, which otherwise happens block by block. MO_ERR_NO_SPACE,
- * MO_ERR_NO_MEMORY: try again; until then, saved bodies of the last block may be lost. MO_ERR_IO:
- * as for mo_atlas_writer_add. */
+/* Makes all added bodies durable, which otherwise happens block by block. It replaces what was
+ * saved of the last block: if it is torn, or MO_ERR_NO_SPACE, that is lost in the file.
+ * MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: try again. MO_ERR_IO: as for mo_atlas_writer_add. */
 int mo_atlas_writer_save(struct mo_atlas_writer *writer);
 /* Completes the file durably. MO_ERR_INVALID: bodies are missing; MO_ERR_CONFLICT: PATH exists by
  * now, and was not touched; remove it and call again. Otherwise as for mo_atlas_writer_add: after

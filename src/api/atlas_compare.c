@@ -16,7 +16,7 @@
 
 #define BINS_MAX     256
 #define BINS_DEFAULT 64
-#define PER_CHECK    65536
+#define PER_CHECK    65536 /* bodies between two looks at the request */
 
 struct comparison {
   struct mo_request *request;
@@ -27,6 +27,12 @@ struct comparison {
   uint64_t *counts; /* (bins, bins): [bin of a][bin of b] */
   double tau;       /* NaN: all bodies have one score in one of the atlases */
 };
+
+/* Looks now and then whether the client has left or the service stops. */
+static bool is_over(const struct comparison *comparison, uint64_t i)
+{
+  return i % PER_CHECK == 0 && mo_request_is_over(comparison->request);
+}
 
 /* Finds a body of the first atlas in the second one. */
 static bool find_other(const struct comparison *comparison, uint64_t position, uint64_t *other)
@@ -88,6 +94,8 @@ static int count_bins(struct comparison *comparison)
   if (comparison->counts == NULL)
     return MO_ERR_NO_MEMORY;
   for (uint64_t i = 0; i < n; i++) {
+    if (is_over(comparison, i))
+      return MO_ERR_CANCELLED;
     if (!read_scores(comparison, i, scores))
       continue;
     const bool is_inside = isfinite(scores[0]) && isfinite(scores[1]);
@@ -99,11 +107,14 @@ static int count_bins(struct comparison *comparison)
     }
   }
   set_edges(comparison, low, high);
-  for (uint64_t i = 0; i < n; i++)
+  for (uint64_t i = 0; i < n; i++) {
+    if (is_over(comparison, i))
+      return MO_ERR_CANCELLED;
     if (read_scores(comparison, i, scores) && isfinite(scores[0]) && isfinite(scores[1]))
       comparison->counts[(size_t)bin_of(comparison->edges[0], comparison->bins, scores[0]) *
                              comparison->bins +
                          bin_of(comparison->edges[1], comparison->bins, scores[1])]++;
+  }
   return MO_OK;
 }
 

@@ -18,6 +18,12 @@ void mo_atlas_refuse(struct mo_request *request, const char *name, int error,
                      "The file atlases/%s.atlas in the state folder of the service cannot be used: "
                      "%s. DELETE removes it, and a PUT of a good one replaces it.",
                      name, message->text);
+  else if (error == MO_ERR_IO)
+    mo_reply_problem(
+        request, 500, NULL,
+        "atlases/%s.atlas in the state folder of the service cannot be used: " MO_ATLAS_CANNOT_READ
+        ".",
+        name);
   else
     mo_reply_error(request, error, "atlas");
 }

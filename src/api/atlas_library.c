@@ -6,6 +6,7 @@
  * the list, and is freed when its last user releases it. */
 #include "api/atlas_library.h"
 
+#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -98,7 +99,7 @@ static int identify(const char *path, struct identity *identity)
 {
   struct stat status;
   if (stat(path, &status) != 0)
-    return mo_open_error() == MO_ERR_NO_MEMORY ? MO_ERR_NO_MEMORY : MO_ERR_NOT_FOUND;
+    return errno == ENOENT ? MO_ERR_NOT_FOUND : mo_open_error();
   if (!S_ISREG(status.st_mode))
     return MO_ERR_NOT_FOUND;
   *identity =
@@ -113,18 +114,39 @@ static bool is_same(const struct identity *a, const struct identity *b)
          a->modified_ns == b->modified_ns;
 }
 
-/* Finds or makes the entry of the file that a path leads to now. */
-static int find_entry(struct mo_atlas_library *library, const char *name, const char *path,
-                      struct mo_atlas_entry **ret)
+static struct mo_atlas_entry *find_name(const struct mo_atlas_library *library, const char *name)
 {
-  struct identity identity;
   struct mo_atlas_entry *entry;
-  const int error = identify(path, &identity);
   LIST_FOREACH(entry, &library->entries, others)
   {
     if (strcmp(entry->name, name) == 0)
       break;
   }
+  return entry;
+}
+
+/* Drops the unused entries of names that lead nowhere. */
+static void drop_missing(struct mo_atlas_library *library)
+{
+  struct mo_atlas_entry *entry = LIST_FIRST(&library->entries);
+  while (entry != NULL) {
+    struct mo_atlas_entry *next = LIST_NEXT(entry, others);
+    struct identity identity = {.size = -1};
+    char *path = mo_store_atlas_path(library->store, entry->name);
+    if (path != NULL && entry->n_users == 0 && identify(path, &identity) == MO_ERR_NOT_FOUND)
+      drop(entry);
+    free(path);
+    entry = next;
+  }
+}
+
+/* Finds or makes the entry of the file that a path leads to now. */
+static int find_entry(struct mo_atlas_library *library, const char *name, const char *path,
+                      struct mo_atlas_entry **ret)
+{
+  struct identity identity = {.size = -1};
+  struct mo_atlas_entry *entry = find_name(library, name);
+  const int error = identify(path, &identity);
   if (error == MO_OK && entry != NULL && is_same(&entry->identity, &identity)) {
     *ret = entry;
     return MO_OK;
@@ -133,6 +155,7 @@ static int find_entry(struct mo_atlas_library *library, const char *name, const 
     drop(entry);
   if (error != MO_OK)
     return error;
+  drop_missing(library);
   entry = calloc(1, sizeof(*entry));
   if (entry == NULL)
     return MO_ERR_NO_MEMORY;
@@ -204,6 +227,15 @@ void mo_atlas_make_room(struct mo_atlas_library *library, uint64_t bytes)
   limit_memory(library, bytes);
 }
 
+void mo_atlas_forget(struct mo_atlas_library *library, const char *name)
+{
+  MO_GUARD(&library->mutex);
+  struct mo_atlas_entry *entry = find_name(library, name);
+  if (entry != NULL)
+    drop(entry);
+  drop_missing(library);
+}
+
 /* ---- use: called with the mutex held ---- */
 
 static bool is_of_content(int error)
@@ -246,7 +278,7 @@ static int take(struct mo_atlas_library *library, const char *name, bool to_desc
 {
   char *path = mo_atlas_name_is_valid(name) ? mo_store_atlas_path(library->store, name) : NULL;
   struct mo_atlas_entry *entry = NULL;
-  struct identity now;
+  struct identity now = {.size = -1};
   int error = path != NULL                   ? MO_OK
               : mo_atlas_name_is_valid(name) ? MO_ERR_NO_MEMORY
                                              : MO_ERR_NOT_FOUND;

@@ -70,6 +70,9 @@ void mo_atlas_release(struct mo_atlas_library *library, struct mo_atlas_use *use
 int mo_atlas_describe(struct mo_atlas_library *library, const char *name, struct mo_text *text,
                       uint64_t *optima, struct mo_message *message);
 
+/* Closes a file that was deleted, once no request uses it. */
+void mo_atlas_forget(struct mo_atlas_library *library, const char *name);
+
 /* Frees parts that no request uses until `bytes` more are within the limit. */
 void mo_atlas_make_room(struct mo_atlas_library *library, uint64_t bytes);
 

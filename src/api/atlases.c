@@ -85,9 +85,11 @@ void mo_api_list_atlases(struct mo_request *request)
     text.size = before > 0 && text.data[before - 1] == ',' ? before - 1 : before;
     const bool is_damaged =
         error == MO_ERR_FORMAT || error == MO_ERR_UNSUPPORTED || error == MO_ERR_CORRUPT;
-    if (is_damaged)
-      note_unreadable(api, &unreadable, names[i].text, message.text);
-    if (is_damaged || error == MO_ERR_NOT_FOUND) /* it was deleted meanwhile */
+    const bool is_closed = error == MO_ERR_IO;
+    if (is_damaged || is_closed)
+      note_unreadable(api, &unreadable, names[i].text,
+                      is_damaged ? message.text : MO_ATLAS_CANNOT_READ);
+    if (is_damaged || is_closed || error == MO_ERR_NOT_FOUND) /* it was deleted meanwhile */
       error = MO_OK;
   }
   mo_text_add(&text, "],\"unreadable\":");
@@ -148,7 +150,7 @@ static bool open_file(struct mo_request *request, int *fd, struct stat *status)
   }
   free(path);
   if (error != MO_OK)
-    mo_reply_error(request, error, "atlas");
+    mo_atlas_refuse(request, name, error, &(struct mo_message){""});
   return error == MO_OK;
 }
 
@@ -213,8 +215,10 @@ void mo_api_delete_atlas(struct mo_request *request)
   const int error = mo_atlas_name_is_valid(name)
                         ? mo_store_atlas_delete(mo_api_of(request)->store, name)
                         : MO_ERR_NOT_FOUND;
-  if (error != MO_OK)
+  if (error != MO_OK) {
     mo_reply_error(request, error, "atlas");
-  else
-    mo_reply_static(request, 204, NULL, "", 0);
+    return;
+  }
+  mo_atlas_forget(&mo_api_of(request)->atlases, name);
+  mo_reply_static(request, 204, NULL, "", 0);
 }

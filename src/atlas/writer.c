@@ -7,7 +7,8 @@
  * was interrupted. The lock of PATH.part keeps other writers away, and ends with the process.
  *
  * The bodies of an unfinished block are saved as a block of so many bodies, in the place of the
- * whole one, which later replaces it. */
+ * whole one, which later replaces it. A save that fails or is torn loses what was saved of this one
+ * block: only whole blocks are safe from later writes. */
 #include "atlas/writer.h"
 
 #include "atlas/bodies.h"

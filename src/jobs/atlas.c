@@ -54,6 +54,7 @@ struct run {
   uint32_t added;     /* bodies of the wave that the writer has */
   uint32_t n_unsaved; /* 1: losses arrived that were not looked at */
   bool is_complete;   /* the file has its final name */
+  uint64_t shown;     /* bodies in the row */
   int64_t saved_us, every_us;
 };
 
@@ -224,15 +225,18 @@ static int write_progress(void *context)
   return mo_store_atlas_progress(run->jobs->store, run->id, record, data);
 }
 
-/* Makes all finished bodies durable, and then shows them. */
+/* Makes all finished bodies durable, and then shows them. Only more of them are progress. */
 static int save_now(struct run *run)
 {
   int error = mo_runner_persist(run->runner, write_file, run, "the atlas");
-  if (error == MO_OK)
+  const bool has_more = run->status.record.bodies_done > run->shown;
+  if (error == MO_OK && has_more)
     error = mo_runner_persist(run->runner, write_progress, run, "the progress of the atlas");
   run->saved_us = mo_clock_us();
-  if (error == MO_OK)
+  if (error == MO_OK && has_more) {
+    run->shown = run->status.record.bodies_done;
     mo_memory_prove(run->jobs, run->id);
+  }
   return error;
 }
 
@@ -370,6 +374,7 @@ static int find_place(struct run *run)
   if (!run->is_complete)
     record->bodies_total = mo_atlas_writer_bodies(run->writer);
   error = recount(run);
+  run->shown = record->bodies_done;
   advance(run, 0);
   return error == MO_OK
              ? mo_runner_persist(run->runner, write_place, run, "the progress of the atlas")

@@ -77,16 +77,26 @@ bool mo_atlas_is_of_store(const struct mo_atlas *atlas, struct mo_message *messa
   return false;
 }
 
-/* Reads and checks a file that has no name yet. */
+struct put {
+  struct mo_store *store;
+  const char *name;
+  bool is_new;
+  struct mo_message *message;
+};
+
+/* Reads and checks a file that has no name yet. A new name may have been taken while the file was
+ * written and read. */
 static int check_file(void *context, const char *path)
 {
-  struct mo_message *message = context;
+  const struct put *put = context;
+  struct mo_message *message = put->message;
   struct mo_atlas *atlas = NULL;
   int error = mo_atlas_open(path, &atlas, message);
   if (error == MO_OK && !mo_atlas_is_of_store(atlas, message))
     error = MO_ERR_UNSUPPORTED;
   mo_atlas_close(atlas);
-  return error;
+  return error == MO_OK && put->is_new ? mo_store_atlas_name_check(put->store, put->name, message)
+                                       : error;
 }
 
 int mo_store_atlas_put(struct mo_store *store, const char *name, const void *bytes, size_t size,
@@ -99,7 +109,7 @@ int mo_store_atlas_put(struct mo_store *store, const char *name, const void *byt
   int error = *created ? mo_store_atlas_name_check(store, name, message) : MO_OK;
   if (error == MO_OK)
     error = mo_file_write_checked(store, mo_store_atlases_path(store), path, bytes, size,
-                                  check_file, message);
+                                  check_file, &(struct put){store, name, *created, message});
   free(path);
   return error;
 }

@@ -177,8 +177,14 @@ static int write_record(struct mo_connection *writer, int64_t id, const void *an
 
 static int progress(struct mo_store *store, void *arguments)
 {
+  /* As for checkpoints of trainings: an error that recurs at the same body prevents progress. */
+  static const char forgive_sql[] = "UPDATE jobs SET attempts=0 WHERE id=?1 AND attempts>0 AND"
+                                    " ?2>(SELECT bodies_done FROM atlases WHERE job=?1)";
   const struct progress *call = arguments;
   int error = mo_run_touch(store, call->id);
+  if (error == MO_OK)
+    error = mo_sql_do(&store->writer, forgive_sql, mo_int(call->id),
+                      mo_int((int64_t)call->record->bodies_done));
   if (error == MO_OK)
     error = write_record(&store->writer, call->id, call->record);
   return error == MO_OK && call->data != NULL

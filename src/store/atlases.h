@@ -2,7 +2,9 @@
  *
  * An atlas is a job of kind MO_JOB_ATLAS. Its settings never change. Its results are only in the
  * file of its name (atlas_names.h), never rows: a job continues where the file ends. The file is
- * durable before the row says so; after a crash, the row may lag behind.
+ * durable before the row says so; after a crash, the row may lag behind. It may be ahead by less
+ * than one block if the crash hit a save, which overwrites the previous one of the same block; then
+ * those bodies are computed again.
  *
  * Threads and errors as in store.h. */
 #ifndef MORPHO_STORE_ATLASES_H
@@ -66,8 +68,9 @@ int mo_store_atlases_sync(struct mo_store *store);
 /* Returns whether the disk is full, so that only urgent writes may use the rest of it. */
 bool mo_store_is_short(const struct mo_store *store);
 /* Stores the progress, with the event "atlas.progress". data: a JSON object; NULL: no event,
- * because no body was added, so the attempt does not count as healthy yet. MO_ERR_CONFLICT: the job
- * has ended, or was not started under this opening of the store. */
+ * because no body was added, so the attempt does not count as healthy yet. More bodies than before
+ * reset the job's attempts. MO_ERR_CONFLICT: the job has ended, or was not started under this
+ * opening of the store. */
 int mo_store_atlas_progress(struct mo_store *store, int64_t id,
                             const struct mo_atlas_record *progress, const char *data);
 /* running → succeeded, once the file is complete. The record has the last progress. Deletes the

@@ -343,6 +343,39 @@ def test_files_from_elsewhere(start):
     assert service.get("/v1/atlases")["unreadable"] == []
 
 
+def mapped(service):
+    """Returns the atlas files that the service has mapped."""
+    lines = pathlib.Path(f"/proc/{service.process.pid}/maps").read_text().splitlines()
+    return {pathlib.Path(line.split()[5]).name for line in lines if ".atlas" in line}
+
+
+def test_files_that_cannot_be_read(start):
+    """They are listed, and do not hide the others."""
+    service = start()
+    folder = service.state / "atlases"
+    write(folder / "a.atlas", seed=1)
+    (folder / "b.atlas").symlink_to("b.atlas")  # is there, and cannot be read, also not by root
+    listed = service.get("/v1/atlases")
+    assert [item["name"] for item in listed["items"]] == ["a"]
+    assert [item["name"] for item in listed["unreadable"]] == ["b"]
+    assert "check its owner" in listed["unreadable"][0]["reason"]
+    for path in ("b", "b/body?position=1", "b/file"):
+        reply = service.request("GET", f"/v1/atlases/{path}")
+        assert reply.status == 500 and "check its owner" in reply.json()["detail"], path
+
+
+def test_deleted_files_are_closed(start):
+    service = start()
+    folder = service.state / "atlases"
+    for name in "abc":
+        write(folder / f"{name}.atlas", seed=1)
+        service.get(f"/v1/atlases/{name}/body?position=7")
+    assert mapped(service) == {"a.atlas", "b.atlas", "c.atlas"}
+    (folder / "a.atlas").unlink()
+    assert service.request("DELETE", "/v1/atlases/b").status == 204
+    assert mapped(service) == {"c.atlas"}
+
+
 def test_many_at_once(service):
     """More files than are kept open, replaced and deleted while requests use them: every reply is
     that of one of the files that the name had."""

@@ -95,6 +95,24 @@ def test_killed_when_the_file_is_complete(daemon):
         one.end()
 
 
+def test_progress_forgives(daemon):
+    """More durable bodies reset the count of attempts."""
+    with daemon("one", workers=1) as one:
+        job = one.submit(REQUEST, "atlases")
+        one.until(lambda: done(one, job) > 0)
+        one.act(job, "pause")
+        one.end()
+        database = open_database(one.state)
+        database.execute("UPDATE jobs SET attempts=2")
+        database.commit()
+        database.close()
+        one.start()
+        assert one.json(f"/v1/jobs/{job}")["attempts"] == 2
+        one.act(job, "resume")
+        one.succeed(job, "jobs", attempts=0)
+        one.end()
+
+
 def test_left_over(daemon):
     """Unfinished files without a job are removed, and those of unfinished jobs stay."""
     with daemon("one", workers=1) as one:
