@@ -160,10 +160,11 @@ void mo_terrain_random(uint64_t seed, uint32_t step, uint64_t index, double sigm
  * are ramps over one spacing, which is why no rise may exceed it: none is steeper than 45°. The
  * lowest height is MO_TERRAIN_FLOOR_M. docs/model.md has the formulas. */
 
-#define MO_SLOPE_BEGINS_M      2.8
-#define MO_FAMILY_BEGINS_M     3.1
-#define MO_TERRAIN_SIGMA_MAX_M 10.0
-#define MO_TERRAIN_DEGREES_MAX 45.0
+#define MO_SLOPE_BEGINS_M         2.8
+#define MO_FAMILY_BEGINS_M        3.1
+#define MO_TERRAIN_SIGMA_MAX_M    10.0
+#define MO_TERRAIN_DEGREES_MAX    45.0
+#define MO_TERRAIN_TOWARD_MAX_RAD 6.3
 
 enum mo_terrain_family {
   MO_TERRAIN_ROUGH = 0,   /* a grid: mo_terrain_random(seed, 0, 0, sigma_m) */
@@ -184,7 +185,8 @@ struct mo_terrain_recipe {
   uint64_t seed;     /* rough, hurdles, gaps, steps */
   double spacing_m;  /* between two heights of a profile: 0.08 … 1 */
   double sigma_m;    /* rough: 0 … 10 */
-  double degrees;    /* slope: −45 … 45 */
+  double degrees;    /* slope; rough, flat: of the whole ground; −45 … 45 */
+  double toward_rad; /* rough, flat: where the ground rises, from +x to +y */
   double rise_m;     /* stairs: above 0, at most spacing_m */
   double run_m;      /* stairs, steps: from one ramp to the next, at least two spacings */
   double height_m;   /* hurdles: of the highest; steps: between the highest and the lowest; above 0,

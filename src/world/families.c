@@ -99,16 +99,25 @@ static int first_at(const struct mo_terrain_recipe *recipe, double x_m)
   return (int)ceil(x_m / recipe->spacing_m - 1e-9);
 }
 
-/* tan x, |x| ≤ π/4, from the series of sine and cosine: within 4 ulp. */
-static double tangent(double x)
+/* Sine and cosine of x, |x| ≤ π/4, from their series. */
+static void sine_cosine(double x, double *sine, double *cosine)
 {
   const double s = x * x;
-  double sine = 0, cosine = 0;
+  double of_sine = 0, of_cosine = 0;
   for (int n = 20; n > 0; n -= 2) {
-    sine = (1 + sine) * -s / ((n + 1) * n);
-    cosine = (1 + cosine) * -s / (n * (n - 1));
+    of_sine = (1 + of_sine) * -s / ((n + 1) * n);
+    of_cosine = (1 + of_cosine) * -s / (n * (n - 1));
   }
-  return (x + x * sine) / (1 + cosine);
+  *sine = x + x * of_sine;
+  *cosine = 1 + of_cosine;
+}
+
+/* tan x, |x| ≤ π/4: within 4 ulp. */
+static double tangent(double x)
+{
+  double sine, cosine;
+  sine_cosine(x, &sine, &cosine);
+  return sine / cosine;
 }
 
 static int slope(const struct mo_terrain_recipe *recipe, double heights_m[N],
@@ -214,23 +223,6 @@ static int draw_profile(const struct mo_terrain_recipe *recipe, double heights_m
   }
 }
 
-static int draw_grid(const struct mo_terrain_recipe *recipe, double heights_m[N],
-                     struct mo_message *message)
-{
-  const bool is_flat = recipe->family == MO_TERRAIN_FLAT;
-  const int error =
-      is_flat ? MO_OK
-              : check_number("sigma_m", recipe->sigma_m, 0, MO_TERRAIN_SIGMA_MAX_M, message);
-  if (error != MO_OK)
-    return error;
-  mo_terrain_random(recipe->seed, 0, 0, is_flat ? 0 : recipe->sigma_m, heights_m);
-  for (int k = 0; k < N; k++)
-    if (heights_m[k] > MO_HEIGHT_LIMIT_M)
-      return mo_fail(message, MO_ERR_RANGE, "a drawn height exceeds %g m; use another seed",
-                     MO_HEIGHT_LIMIT_M);
-  return MO_OK;
-}
-
 /* Shifts the heights so that the lowest is MO_TERRAIN_FLOOR_M. */
 static void lift(double heights_m[N])
 {
@@ -240,6 +232,50 @@ static void lift(double heights_m[N])
       lowest = heights_m[k];
   for (int k = 0; k < N; k++)
     heights_m[k] = (heights_m[k] - lowest) + MO_TERRAIN_FLOOR_M;
+}
+
+/* Adds a plane that rises toward toward_rad to a grid. The direction is that of an eighth of the
+ * angle, doubled three times, because the series are for small angles. */
+static void tilt(const struct mo_terrain_recipe *recipe, double heights_m[N])
+{
+  const double rise = tangent(recipe->degrees * RADIANS_PER_DEGREE);
+  const double spacing_m = MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1);
+  double sine, cosine;
+  sine_cosine(recipe->toward_rad / 8, &sine, &cosine);
+  for (int i = 0; i < 3; i++) {
+    const double twice = 2 * sine * cosine;
+    cosine = cosine * cosine - sine * sine;
+    sine = twice;
+  }
+  for (int k = 0; k < N; k++)
+    heights_m[k] +=
+        rise * (cosine * (k % MO_TERRAIN_SIDE) + sine * (k / MO_TERRAIN_SIDE)) * spacing_m;
+  lift(heights_m);
+}
+
+static int draw_grid(const struct mo_terrain_recipe *recipe, double heights_m[N],
+                     struct mo_message *message)
+{
+  const bool is_flat = recipe->family == MO_TERRAIN_FLAT;
+  int error = is_flat
+                  ? MO_OK
+                  : check_number("sigma_m", recipe->sigma_m, 0, MO_TERRAIN_SIGMA_MAX_M, message);
+  if (error == MO_OK)
+    error = check_number("degrees", recipe->degrees, -MO_TERRAIN_DEGREES_MAX,
+                         MO_TERRAIN_DEGREES_MAX, message);
+  if (error == MO_OK)
+    error = check_number("toward_rad", recipe->toward_rad, -MO_TERRAIN_TOWARD_MAX_RAD,
+                         MO_TERRAIN_TOWARD_MAX_RAD, message);
+  if (error != MO_OK)
+    return error;
+  mo_terrain_random(recipe->seed, 0, 0, is_flat ? 0 : recipe->sigma_m, heights_m);
+  if (recipe->degrees != 0)
+    tilt(recipe, heights_m);
+  for (int k = 0; k < N; k++)
+    if (heights_m[k] > MO_HEIGHT_LIMIT_M)
+      return mo_fail(message, MO_ERR_RANGE, "a drawn height exceeds %g m; use another seed",
+                     MO_HEIGHT_LIMIT_M);
+  return MO_OK;
 }
 
 int mo_terrain_draw(const struct mo_terrain_recipe *recipe, struct mo_environment *environment,

@@ -258,3 +258,19 @@ def test_studies_name_a_terrain_that_differs(service):
         other = study | {"environments": [{**PLACE, "terrain": terrain}], "if_exists": "return"}
         reply = service.request("POST", "/v1/campaigns", other)
         assert "/environments/0/terrain" + below in reply.pointers(), reply.json()
+
+
+@pytest.mark.parametrize("kind", ["flat", "rough"])
+def test_ground_on_a_slope(service, kind):
+    """The heights rise by the angle, whatever lies on it; the reply has them as a grid."""
+    seed = {"seed": 4} if kind == "rough" else {}
+    level, _ = world_of(service, {"kind": kind, **seed})
+    slope = {"degrees": 10, "toward_rad": math.pi / 2}
+    world, loss = world_of(service, {"kind": kind, **seed, **slope})
+    heights, before = world["terrain_heights_m"], level["terrain_heights_m"]
+    assert min(heights) == FLOOR and isinstance(loss, float)
+    rises = [b - a - (d - c) for a, b, c, d in
+             zip(heights, heights[8:], before, before[8:])]
+    assert rises == pytest.approx([math.tan(math.radians(10)) * 5 / 7] * 56)
+    again, same = world_of(service, {"kind": kind, **seed, "degrees": 0, "toward_rad": 2})
+    assert again == level

@@ -253,10 +253,49 @@ static void refusals(void)
   }
 }
 
+/* Sloping ground is the level one plus a plane; the lowest height is the usual one. */
+static void sloping_ground(void)
+{
+  static const double degrees[] = {5, -12, 45, 0.1}, toward[] = {0, 0.7, 3.2, -6.1};
+  for (int i = 0; i < 8; i++) {
+    struct mo_terrain_recipe recipe =
+        mo_terrain_recipe_default(i % 2 == 0 ? MO_TERRAIN_ROUGH : MO_TERRAIN_FLAT);
+    recipe.seed = 4;
+    const struct mo_environment level = draw(&recipe);
+    recipe.degrees = degrees[i % 4];
+    recipe.toward_rad = toward[i / 2];
+    const struct mo_environment sloping = draw(&recipe);
+    const double rise = tan(recipe.degrees * M_PI / 180), cell_m = 5.0 / 7;
+    double lowest = INFINITY, worst = 0;
+    for (int k = 0; k < N; k++) {
+      const double plane_m =
+          rise * cell_m * (cos(recipe.toward_rad) * (k % 8) + sin(recipe.toward_rad) * (k / 8));
+      const double up_m = sloping.terrain_heights_m[k] - level.terrain_heights_m[k] - plane_m;
+      const double first_m = sloping.terrain_heights_m[0] - level.terrain_heights_m[0];
+      worst = fmax(worst, fabs(up_m - first_m));
+      lowest = fmin(lowest, sloping.terrain_heights_m[k]);
+    }
+    CHECK(worst < 1e-13);
+    CHECK(lowest == MO_TERRAIN_FLOOR_M && sloping.n_profile == 0);
+  }
+  struct mo_terrain_recipe recipe = mo_terrain_recipe_default(MO_TERRAIN_FLAT);
+  struct mo_environment environment = {0};
+  recipe.toward_rad = 1; /* without a slope, the direction has no effect */
+  const struct mo_environment flat = draw(&recipe);
+  for (int k = 0; k < N; k++)
+    CHECK(flat.terrain_heights_m[k] == MO_TERRAIN_FLOOR_M);
+  recipe.degrees = 46;
+  CHECK(mo_terrain_draw(&recipe, &environment, NULL) == MO_ERR_RANGE);
+  recipe.degrees = 1;
+  recipe.toward_rad = 6.4;
+  CHECK(mo_terrain_draw(&recipe, &environment, NULL) == MO_ERR_RANGE);
+}
+
 static const struct check_case cases[] = {
     {"frozen bits", frozen},
     {"level start, lowest height, steepest ramp", shapes},
     {"rough and flat are grids", grids},
+    {"rough and flat ground on slopes", sloping_ground},
     {"slopes have their angle", slopes},
     {"stairs", stairs},
     {"random distances and heights", random_families},
