@@ -45,6 +45,9 @@ static int64_t option_environment(const struct ctl *ctl)
 static void choose_environment(struct ctl *ctl, json_t *request)
 {
   const json_t *listed = json_object_get(request, "environments");
+  if (json_is_object(listed))
+    fail(STATUS_USAGE, "film needs a set or a list of environments; evaluate in the varied ones, "
+                       "and film that evaluation");
   if (!json_is_array(listed)) {
     const char *set = escape(option_text(ctl, "environments", "paper-test"));
     listed = json_object_get(get_json(ctl, "/v1/environment-sets/%s", set), "items");

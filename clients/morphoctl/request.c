@@ -63,8 +63,10 @@ static void fill_range(const struct option_spec *spec, const char *text, json_t 
   if (low == NULL || high == NULL)
     fail(STATUS_USAGE, "--%s: \"%s\" is not a range LOW:HIGH of two numbers", spec->name,
          equals + 1);
-  json_object_set_new(ranges, keep(format_text("%.*s", (int)(equals - text), text)),
-                      json_pack("[o, o]", low, high));
+  const char *name = keep(format_text("%.*s", (int)(equals - text), text));
+  if (json_object_get(ranges, name) != NULL)
+    fail(STATUS_USAGE, "--%s: %s is given twice", spec->name, name);
+  json_object_set_new(ranges, name, json_pack("[o, o]", low, high));
 }
 
 static json_t *ranges_of(const struct ctl *ctl, const struct option_spec *spec)

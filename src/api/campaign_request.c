@@ -10,6 +10,7 @@
 #include "api/requests.h"
 #include "store/fields.h"
 #include "world/environment.h"
+#include "world/factors.h"
 
 /* ---- members with their own readers ---- */
 
@@ -393,9 +394,11 @@ static int check(struct mo_json *json, void *any)
                      (unsigned long long)MO_CAMPAIGN_DESIGNS_MAX);
   if (mo_modes[settings->mode].learns)
     check_learning(json, settings);
-  mo_parts_check_factors(json, &parsed->parts, &settings->physics,
-                         mo_modes[settings->mode].learns ? &settings->learning.vary : NULL);
   choose_worlds(json, parsed);
+  const bool learns_there =
+      mo_modes[settings->mode].learns && record->worlds == MO_WORLDS_ENVIRONMENTS;
+  mo_parts_check_factors(json, &parsed->parts, &settings->physics,
+                         learns_there ? &settings->learning.vary : NULL);
   if (settings->seed + record->replicates - 1 > (uint64_t)MO_SEED_MAX)
     mo_json_fault_at(json, 0, "/seed",
                      "the seeds of %u replicates, starting at %llu, exceed %lld; lower the seed",
@@ -432,6 +435,7 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
   record->settings.racing = (enum mo_racing) - 1;
   record->worlds = (enum mo_worlds) - 1;
   int error = mo_read_body(text, size, &mo_campaign_request_fields, parsed, parts, check, faults);
+  record->settings.learning.vary.given = mo_factors_vary(&record->settings.learning.vary);
   if ((int)record->settings.sensor < 0)
     record->settings.sensor = sensor;
   if ((int)record->worlds < 0)

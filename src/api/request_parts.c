@@ -183,6 +183,9 @@ static void read_set(struct mo_json *json, struct mo_parts *parts)
                    parts->takes_suites ? "; the suites are morpho-12 and morpho-12-held-out" : "");
 }
 
+#define TOO_MANY_HEIGHTS                                                                           \
+  "all grids together may have at most %d heights; use smaller or fewer grids"
+
 /* Reads an array of 1 to MO_ENVIRONMENTS_MAX environments, each by `read`. Skips it if the request
  * has given another one already, which a check reports. */
 static void read_list(struct mo_json *json, const char *what,
@@ -214,9 +217,7 @@ static void read_list(struct mo_json *json, const char *what,
     n += n <= MO_ENVIRONMENTS_MAX;
   }
   if (n_heights > MO_GRIDS_HEIGHTS_MAX)
-    mo_json_fault_at(json, depth, "",
-                     "all grids together may have at most %d heights; use smaller or fewer grids",
-                     MO_GRIDS_HEIGHTS_MAX);
+    mo_json_fault_at(json, depth, "", TOO_MANY_HEIGHTS, MO_GRIDS_HEIGHTS_MAX);
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
     mo_json_fault_at(json, depth, "", "must have 1 to %d %s, got %s", MO_ENVIRONMENTS_MAX, what,
                      n == 0 ? "none" : "too many");
@@ -230,7 +231,8 @@ struct variation {
 };
 
 /* Sets varied (MO_ENVIRONMENTS_MAX, empty) to `count` of the environments in turn, times factors
- * drawn from the ranges, and replaces the environments by them. */
+ * drawn from the ranges, and replaces the environments by them. MO_ERR_LIMIT: their grids have too
+ * many heights. */
 static int vary(struct mo_parts *parts, const struct variation *by, struct mo_environment *varied)
 {
   struct mo_factors factors[MO_ENVIRONMENTS_MAX];
@@ -245,8 +247,14 @@ static int vary(struct mo_parts *parts, const struct variation *by, struct mo_en
     return error;
   for (uint32_t i = n_base; i < n; i++)
     varied[i] = varied[i - n_base];
-  for (uint32_t i = 0; i < n; i++)
+  size_t n_heights = 0;
+  for (uint32_t i = 0; i < n; i++) {
+    const struct mo_terrain_grid *grid = varied[i].grid;
     varied[i].factors = mo_factors_times(&varied[i].factors, &factors[i]);
+    n_heights += grid != NULL ? (size_t)grid->columns * grid->rows : 0;
+  }
+  if (n_heights > MO_GRIDS_HEIGHTS_MAX)
+    return MO_ERR_LIMIT;
   if (n < n_base)
     memset(varied + n, 0, (n_base - n) * sizeof(*varied));
   mo_environments_hold(varied, n);
@@ -254,6 +262,7 @@ static int vary(struct mo_parts *parts, const struct variation *by, struct mo_en
   parts->environments = varied;
   parts->n_environments = n;
   parts->environment_set = NULL;
+  parts->is_varied = true;
   return MO_OK;
 }
 
@@ -295,9 +304,14 @@ static void read_variation(struct mo_json *json, struct mo_parts *parts)
     mo_json_fault_at(json, depth, "/vary", "%s", message.text);
   else {
     struct mo_environment *varied = calloc(MO_ENVIRONMENTS_MAX, sizeof(*varied));
-    if (varied != NULL && vary(parts, &by, varied) == MO_OK)
+    const int error = varied != NULL ? vary(parts, &by, varied) : MO_ERR_NO_MEMORY;
+    if (error == MO_OK)
       return;
     free(varied);
+    if (error == MO_ERR_LIMIT) {
+      mo_json_fault_at(json, depth, "/count", TOO_MANY_HEIGHTS, MO_GRIDS_HEIGHTS_MAX);
+      return;
+    }
     parts->error = MO_ERR_NO_MEMORY;
     json->stop = true;
   }
@@ -541,36 +555,6 @@ const char *mo_parts_set(const struct mo_parts *parts)
   if (parts->environments != NULL)
     return NULL;
   return parts->environment_set != NULL ? parts->environment_set : mo_set_words[0];
-}
-
-void mo_parts_check_gradients(struct mo_json *json, const struct mo_parts *parts, const char *hint)
-{
-  for (uint32_t i = 0; parts->environments != NULL && i < parts->n_environments; i++) {
-    struct mo_message message;
-    char pointer[64];
-    if (mo_task_check_gradient(&parts->environments[i].task, &message) == MO_OK)
-      continue;
-    if (parts->has_tasks)
-      snprintf(pointer, sizeof(pointer), "/tasks/%u/objective", i);
-    else
-      snprintf(pointer, sizeof(pointer), "/environments/%u/task/objective", i);
-    mo_json_fault_at(json, 0, pointer, "%s%s", message.text, hint);
-  }
-}
-
-void mo_parts_check_factors(struct mo_json *json, const struct mo_parts *parts,
-                            const struct mo_physics *physics, const struct mo_factor_ranges *vary)
-{
-  for (uint32_t i = 0; parts->environments != NULL && i < parts->n_environments; i++) {
-    const struct mo_environment *environment = &parts->environments[i];
-    struct mo_message message;
-    char pointer[64];
-    if (environment->factors.given == 0 ||
-        mo_physics_check_in(physics, environment, vary, &message) == MO_OK)
-      continue;
-    snprintf(pointer, sizeof(pointer), "/environments/%u/factors", i);
-    mo_json_fault_at(json, 0, pointer, "make constants that are out of range: %s", message.text);
-  }
 }
 
 const char *mo_parts_controller(const struct mo_parts *parts)

@@ -25,7 +25,7 @@ struct mo_parts {           /* everything that a submission of any kind may requ
   struct mo_submission job; /* priority −1: not given */
   int device, error;        /* device 0: any; error: MO_ERR_NO_MEMORY */
   bool has_controller, no_controller /* null was given */, has_designs, has_environments;
-  bool has_tasks, has_random, estimates_error, takes_suites, only_named; /* as environments */
+  bool has_tasks, has_random, estimates_error, takes_suites, only_named, is_varied; /* worlds */
   char label[MO_LABEL_BYTES_MAX + 1], experiment[MO_EXPERIMENT_BYTES_MAX + 1];
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */

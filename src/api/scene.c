@@ -398,9 +398,11 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
   const uint32_t n = rollouts->n_environments;
   struct mo_sha256 physics;
   struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX];
-  uint32_t n_warnings = mo_warn_of_physics(&rollouts->physics, warnings);
-  for (uint32_t k = 0; k < n && n_warnings == 0; k++)
-    n_warnings = mo_warn_of_world(&rollouts->physics, &rollouts->environments[k], k, warnings);
+  uint32_t n_warnings = mo_warn_of_physics(&rollouts->physics, warnings), unstable = 0;
+  for (uint32_t k = 0; k < n && unstable == 0; k++)
+    unstable =
+        mo_warn_of_world(&rollouts->physics, &rollouts->environments[k], k, &warnings[n_warnings]);
+  n_warnings += unstable; /* only if the physics is stable without factors: two fit */
   mo_physics_hash(&rollouts->physics, rollouts->precision, rollouts->sensor, &physics);
   mo_text_object(text);
   mo_member_hash(text, "controller", &rollouts->controller);

@@ -7,6 +7,7 @@
 
 #include "api/requests.h"
 #include "store/fields.h"
+#include "world/factors.h"
 
 /* ---- the designs of another job ---- */
 
@@ -112,6 +113,7 @@ static int check(struct mo_json *json, void *any)
     mo_json_fault_at(json, 0, "/validation/environments",
                      "must be left out, because a training with environments of its own is "
                      "validated in all of them");
+  settings->learning.vary.given = mo_factors_vary(&settings->learning.vary);
   mo_parts_check_factors(json, parts, &settings->physics, &settings->learning.vary);
   mo_parts_check_gradients(json, parts, "");
   if (!parsed->has_kind)

@@ -167,6 +167,25 @@ uint32_t mo_warn_of_world(const struct mo_physics *physics,
   return warn_of_dt(&here, where, warning);
 }
 
+/* The least stable of the worlds that learning draws: stiff and light, with the lowest or the
+ * highest drag. */
+static void warn_of_vary(struct mo_job *job, const struct mo_factor_ranges *vary)
+{
+  if (!vary->given || !mo_step_is_stable(&job->physics, MO_EIGENVALUE_MAX))
+    return;
+  for (int end = 0; end < 2; end++) {
+    struct mo_physics worst = job->physics;
+    worst.constants.stiffness_n_per_m *= vary->stiffness[1];
+    worst.constants.mass_kg *= vary->mass[0];
+    worst.constants.drag_per_s *= vary->drag[end];
+    const uint32_t n =
+        warn_of_dt(&worst, " (in worlds that vary draws)", &job->warnings[job->n_warnings]);
+    job->n_warnings += n;
+    if (n > 0)
+      return;
+  }
+}
+
 static void warn_of_physics(struct mo_job *job)
 {
   job->n_warnings += mo_warn_of_physics(&job->physics, &job->warnings[job->n_warnings]);
@@ -223,8 +242,10 @@ int mo_job_warn(struct mo_connection *connection, struct mo_job *job, const void
     return warn_of_worlds(connection, job, job->id);
   case MO_JOB_ATLAS: warn_of_physics(job); return warn_of_worlds(connection, job, job->id);
   case MO_JOB_TRAINING: {
+    const struct mo_training_record *training = record;
     const int error = warn_of_step(connection, job, record);
     warn_of_physics(job);
+    warn_of_vary(job, &training->settings.learning.vary);
     return error == MO_OK && job->n_environments > 0 ? warn_of_worlds(connection, job, job->id)
                                                      : error;
   }
@@ -232,6 +253,8 @@ int mo_job_warn(struct mo_connection *connection, struct mo_job *job, const void
     const struct mo_campaign_record *campaign = record;
     const int error = warn_of_generation(connection, job, campaign);
     warn_of_physics(job);
+    if (mo_modes[campaign->settings.mode].learns)
+      warn_of_vary(job, &campaign->settings.learning.vary);
     return error == MO_OK ? warn_of_worlds(connection, job, campaign->group) : error;
   }
   }

@@ -101,7 +101,7 @@ void mo_factors_ends(const struct mo_factor_ranges *ranges, struct mo_factors en
 {
   for (int end = 0; end < 2; end++) {
     ends[end] = mo_factors_ones();
-    for (size_t k = 0; k < mo_factor_fields.n; k++)
+    for (size_t k = 0; k < mo_factor_fields.n && ranges->given; k++)
       *factor_at(&ends[end], k) = range_at(ranges, k)[end];
     ends[end] = mo_factors_simplest(&ends[end]);
   }
@@ -110,8 +110,9 @@ void mo_factors_ends(const struct mo_factor_ranges *ranges, struct mo_factors en
 int mo_factor_ranges_check(const char *above, const struct mo_factor_ranges *ranges,
                            struct mo_message *message)
 {
-  const int error = mo_fields_check(&mo_factor_range_fields, above, ranges, message);
-  for (size_t k = 0; k < mo_factor_range_fields.n && error == MO_OK; k++) {
+  const int error =
+      ranges->given ? mo_fields_check(&mo_factor_range_fields, above, ranges, message) : MO_OK;
+  for (size_t k = 0; k < mo_factor_range_fields.n && error == MO_OK && ranges->given; k++) {
     const double *range = range_at(ranges, k);
     if (range[0] > range[1])
       return mo_fail(message, MO_ERR_RANGE, "%s.%s must be [lowest, highest], got [%.9g, %.9g]",
@@ -144,7 +145,7 @@ int mo_factors_draw(const struct mo_factor_ranges *ranges, uint64_t seed, uint32
     return MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < n; i++)
     factors[i] = mo_factors_ones();
-  for (size_t k = 0; k < mo_factor_range_fields.n; k++) {
+  for (size_t k = 0; k < mo_factor_range_fields.n && ranges->given; k++) {
     const double *range = range_at(ranges, k);
     struct mo_random random;
     mo_random_init(&random, seed, MO_PURPOSE_FACTORS, step, k);

@@ -247,9 +247,10 @@ static void tilt(const struct mo_terrain_recipe *recipe, double heights_m[N])
     cosine = cosine * cosine - sine * sine;
     sine = twice;
   }
-  for (int k = 0; k < N; k++)
-    heights_m[k] +=
-        rise * (cosine * (k % MO_TERRAIN_SIDE) + sine * (k / MO_TERRAIN_SIDE)) * spacing_m;
+  for (int k = 0; k < N; k++) {
+    const int row = k / MO_TERRAIN_SIDE, column = k % MO_TERRAIN_SIDE;
+    heights_m[k] += rise * (cosine * column + sine * row) * spacing_m;
+  }
   lift(heights_m);
 }
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from service import DESIGN, await_end
+from service import DESIGN, await_end, awaited
 
 TALL = {"cells": [[x, y, z] for x in (2, 3) for y in (2, 3) for z in (0, 1)]}
 PLACE = {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 3}
@@ -90,6 +90,9 @@ def test_unstable_steps_are_named(service):
     scene = service.request("POST", "/v1/rollouts", {
         "designs": [TALL], "environments": [PLACE, place], "physics": PHYSICS}).json()
     assert [one["code"] for one in scene["warnings"]] == ["unstable_step"]
+    scene = service.request("POST", "/v1/rollouts", {
+        "designs": [TALL], "environments": [PLACE, place], "physics": {"n_steps": 8}}).json()
+    assert "unstable_step" in [one["code"] for one in scene["warnings"]]
 
 
 def test_campaigns_learn_in_such_worlds(service):
@@ -103,17 +106,24 @@ def test_campaigns_learn_in_such_worlds(service):
         assert job["settings"]["learning"]["worlds"] == worlds
 
 
-def test_trainings_learn_in_such_worlds(service):
+def learned(service, name, **more):
+    """The score, in an ordinary world, of a controller that learned with these settings."""
     value = {"kind": "finetune", "designs": [TALL], "steps": 2, "batch": 4, "physics": PHYSICS,
-             "validation": {"every_steps": 1}}
-    ends = []
-    for factors in ({}, {"friction": 0.3}):
-        id = service.post("/v1/trainings", value | {
-            "environments": [PLACE | {"factors": factors}]})["id"]
-        job = await_end(service, f"/v1/trainings/{id}").json()
-        assert job["state"] == "succeeded", job
-        ends.append(job["validation"])
-    assert ends[0] != ends[1]
+             "schedule": {"kind": "constant", "peak": 0.01}, "name": name,
+             "validation": {"every_steps": 0}}
+    id = service.post("/v1/trainings", value | more)["id"]
+    job = await_end(service, f"/v1/trainings/{id}").json()
+    assert job["state"] == "succeeded", job
+    return evaluate(service, PLACE, controller=name, precision="float64")["results"][0]["score"]
+
+
+def test_trainings_learn_in_such_worlds(service):
+    """What the factors change is what is learned."""
+    slippery = [PLACE | {"factors": {"friction": 0.3}}]
+    scores = [learned(service, "plain", environments=[PLACE]),
+              learned(service, "slippery", environments=slippery),
+              learned(service, "again", environments=slippery)]
+    assert scores[1] == scores[2] != scores[0]
 
 
 def drawn(service, environments):
@@ -181,20 +191,77 @@ VARY = {"friction": [1 / 3, 4 / 3], "mass": [0.9, 1.1]}
 
 
 def test_trainings_vary_their_worlds(service):
-    """The same seed gives the same weights; ranges change them, and are reported."""
-    value = {"kind": "pretrain", "steps": 2, "batch": 4, "physics": PHYSICS,
-             "validation": {"every_steps": 1, "designs": 2}}
-    curves = []
-    for vary in (None, VARY, VARY, VARY | {"mass": [1, 1]}):
-        id = service.post("/v1/trainings", value | {"vary": vary})["id"]
-        job = await_end(service, f"/v1/trainings/{id}").json()
-        assert job["state"] == "succeeded", job
-        seen = job["settings"]["vary"]
+    """The same seed learns the same; ranges change it, and are reported."""
+    scores = []
+    for number, vary in enumerate((None, VARY, VARY, VARY | {"mass": [1, 1]}, {})):
+        scores.append(learned(service, f"varied-{number}", environments=[PLACE], vary=vary))
+        seen = service.get("/v1/trainings?limit=1")["items"][0]["settings"]["vary"]
         assert seen == (vary and {"stiffness": [1, 1], "drag": [1, 1], "gravity": [1, 1],
-                                  "actuation": [1, 1]} | vary)
-        curves.append(job["validation"])
-    assert curves[1] == curves[2]
-    assert curves[0] != curves[1] and curves[1] != curves[3]
+                                  "actuation": [1, 1]} | vary or None)
+    assert scores[1] == scores[2] and scores[0] == scores[4]
+    assert len(set(scores)) == 3
+
+
+def test_a_restart_draws_the_same_worlds(start, tmp_path):
+    """A training run that continues from a checkpoint gets the factors of its steps."""
+    value = {"kind": "finetune", "designs": [TALL], "steps": 40, "batch": 4, "physics": PHYSICS,
+             "vary": VARY, "environments": [PLACE], "validation": {"every_steps": 0},
+             "checkpoint": {"every_steps": 4}, "name": "varied"}
+    first = start(state=tmp_path)
+    path = f"/v1/trainings/{first.post('/v1/trainings', value)['id']}"
+    awaited(first, path, lambda seen: seen["progress"]["step"] >= 2)
+    assert first.stop() == 0
+    second = start(state=tmp_path)
+    assert await_end(second, path).json()["state"] == "succeeded"
+    other = start()
+    whole = other.post("/v1/trainings", value)["id"]
+    assert await_end(other, f"/v1/trainings/{whole}").json()["state"] == "succeeded"
+    scores = [evaluate(one, PLACE, controller="varied")["results"] for one in (second, other)]
+    assert scores[0] == scores[1]
+
+
+def test_unstable_ranges_are_named(service):
+    value = {"kind": "pretrain", "steps": 1, "batch": 1, "physics": PHYSICS,
+             "validation": {"every_steps": 0}}
+    for vary, n in (({"stiffness": [1, 50]}, 1), ({"mass": [0.01, 1]}, 1),
+                    ({"stiffness": [0.9, 1.1]}, 0)):
+        job = service.post("/v1/trainings", value | {"vary": vary})
+        codes = [one["code"] for one in job["warnings"]]
+        assert codes == ["unstable_step"] * n, job["warnings"]
+
+
+def test_what_is_at_fault_is_named(service):
+    """An invalid physics is not the fault of factors, nor a varied list that of its members."""
+    bad = {"n_steps": 100, "control_period_s": 0.003}
+    for kind, value in (("trainings", {"kind": "pretrain"}), ("campaigns", {"mode": "zero-shot"})):
+        reply = service.request("POST", f"/v1/{kind}", value | {
+            "environments": [PLACE | {"factors": {"friction": 0.5}}], "physics": bad})
+        assert reply.status == 422
+        assert not any("factors" in (pointer or "") for pointer in reply.pointers())
+    varied = {"vary": {"actuation": [1, 10]}, "count": 64}
+    reply = service.request("POST", "/v1/evaluations", {"designs": [TALL],
+                                                        "environments": varied})
+    assert reply.status == 422 and reply.pointers() == ["/environments/vary"]
+    few = {"mode": "few-shot", "environments": [PLACE | {"factors": {"actuation": 3}}],
+           "learning": {"vary": {"actuation": [1, 2]}, "worlds": "random"}}
+    service.act(service.post("/v1/campaigns", few)["id"], "cancel")
+    few["learning"]["worlds"] = "environments"
+    reply = service.request("POST", "/v1/campaigns", few)
+    assert reply.status == 422 and "learning draws" in reply.json()["errors"][0]["detail"]
+
+
+def test_custom_grids(service):
+    """They share the limit of heights, and learning does not vary them."""
+    grid = {"light_xy_m": [4.0, 2.5], "terrain": {
+        "kind": "grid", "heights_m": [[0.0] * 128] * 128, "spacing_m": 0.1}}
+    varied = {"of": [grid], "vary": {"friction": [0.5, 1]}, "count": 17}
+    reply = service.request("POST", "/v1/evaluations", {"designs": [TALL],
+                                                        "environments": varied})
+    assert reply.status == 422 and reply.pointers() == ["/environments/count"]
+    assert len(drawn(service, varied | {"count": 2})) == 2
+    reply = service.request("POST", "/v1/trainings", {
+        "kind": "pretrain", "environments": [grid], "vary": VARY})
+    assert reply.status == 422 and reply.pointers() == ["/environments/0/terrain"]
 
 
 @pytest.mark.parametrize("vary, pointer, says", [

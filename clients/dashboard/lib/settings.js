@@ -34,6 +34,8 @@ const WORDS = {
     : `from evaluation ${value.evaluation}`),
   select_by: ({ measure, direction }) => `${direction} ${measure}`,
   random: ({ seed, first }) => `seed ${seed}, starting at number ${first}`,
+  vary: (value) => Object.entries(value).filter(([, [low, high]]) => low !== 1 || high !== 1)
+    .map(([name, [low, high]]) => `${name} ${low} to ${high}`).join(', '),
   workspace: (value) => `${value.join(' × ')} voxels`,
   tasks: (value) => value.map((task) => taskWords([{ task }]) || 'photo').join(', '),
 };

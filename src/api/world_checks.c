@@ -1,0 +1,51 @@
+/* world_checks.c: whether robots can live and learn in the environments of a request. */
+#include <stdio.h>
+
+#include "api/requests.h"
+#include "world/factors.h"
+
+void mo_parts_check_factors(struct mo_json *json, const struct mo_parts *parts,
+                            const struct mo_physics *physics, const struct mo_factor_ranges *vary)
+{
+  const bool varies = vary != NULL && mo_factors_vary(vary);
+  if (mo_physics_check(physics, NULL) != MO_OK)
+    return; /* reported already, and not the fault of factors */
+  for (uint32_t i = 0; parts->environments != NULL && i < parts->n_environments; i++) {
+    const struct mo_environment *environment = &parts->environments[i];
+    struct mo_message message;
+    char pointer[64];
+    if (varies && environment->grid != NULL) {
+      snprintf(pointer, sizeof(pointer), "/environments/%u/terrain", i);
+      mo_json_fault_at(json, 0, pointer,
+                       "robots cannot learn on a custom grid in worlds that vary; use another kind "
+                       "of terrain, or give varied environments ({\"of\", \"vary\"}) instead");
+    } else if ((environment->factors.given != 0 || varies) &&
+               mo_physics_check_in(physics, environment, vary, &message) != MO_OK) {
+      if (parts->is_varied)
+        snprintf(pointer, sizeof(pointer), "/environments/vary");
+      else
+        snprintf(pointer, sizeof(pointer), "/environments/%u/factors", i);
+      mo_json_fault_at(json, 0, pointer, "makes constants that are out of range%s: %s",
+                       varies ? " with the factors that learning draws" : "", message.text);
+    } else {
+      continue;
+    }
+    if (parts->is_varied)
+      return;
+  }
+}
+
+void mo_parts_check_gradients(struct mo_json *json, const struct mo_parts *parts, const char *hint)
+{
+  for (uint32_t i = 0; parts->environments != NULL && i < parts->n_environments; i++) {
+    struct mo_message message;
+    char pointer[64];
+    if (mo_task_check_gradient(&parts->environments[i].task, &message) == MO_OK)
+      continue;
+    if (parts->has_tasks)
+      snprintf(pointer, sizeof(pointer), "/tasks/%u/objective", i);
+    else
+      snprintf(pointer, sizeof(pointer), "/environments/%u/task/objective", i);
+    mo_json_fault_at(json, 0, pointer, "%s%s", message.text, hint);
+  }
+}
