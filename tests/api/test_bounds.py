@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from service import CONTRACT, DESIGN
+from service import CONTRACT, DESIGN, await_end
 
 CURSORS = [
     "1", "01", "0", "x", "", "-1", "9999999999", "99999999999", "999999999999999999",
@@ -38,6 +38,13 @@ def lists():
 
 
 @pytest.fixture(scope="module")
+def atlas(service):
+    """An atlas of the name that the paths have."""
+    body = {"voxels": 1, "name": "small", "physics": {"n_steps": 8, "control_period_s": 0.016}}
+    assert await_end(service, f"/v1/jobs/{service.post('/v1/atlases', body)['id']}")
+
+
+@pytest.fixture(scope="module")
 def campaign(service):
     body = {
         "mode": "zero-shot", "population": 4, "generations": 1, "physics": {"n_steps": 5},
@@ -49,13 +56,13 @@ def campaign(service):
 
 
 @pytest.mark.parametrize("path", lists())
-def test_cursors(service, campaign, path):
+def test_cursors(service, campaign, atlas, path):
     schema = schema_of(CONTRACT.document["paths"][path]["get"], "cursor")
     queries = {"/v1/designs": ("", "&sort=score"), "/v1/events": ("&format=json", )}
     for query in queries.get(path, ("", )):
         for cursor in CURSORS:
-            reply = service.request("GET",
-                                    path.format(id=campaign, number=0) + f"?cursor={cursor}{query}")
+            at = path.format(id=campaign, number=0, name="small")
+            reply = service.request("GET", f"{at}?cursor={cursor}{query}")
             shown = re.search(schema["pattern"], cursor) is not None and len(cursor) <= schema.get(
                 "maxLength", 520)
             if path == "/v1/designs":  # one format for each kind

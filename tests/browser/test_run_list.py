@@ -155,7 +155,7 @@ def test_commands_list_the_jobs_of_the_page(service, browser):
     assert "morphoctl" not in commands(browser, "runs?kind=evaluation")
     found = commands(browser, "runs?kind=study&experiment=table")
     assert set(found) == {"curl", "Python"} and '["campaign_mode"] == "study"' in found["Python"]
-    assert "picks them out of the campaigns" in browser.texts("dialog[open]")[0]
+    assert "the service lists all campaigns" in browser.texts("dialog[open]")[0]
     # The client's jobs() has no search.
     assert 'm.request("GET", "/v1/jobs", search="x")' in commands(
         browser, "runs?search=x")["Python"]

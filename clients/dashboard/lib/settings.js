@@ -34,8 +34,8 @@ const WORDS = {
     : `from evaluation ${value.evaluation}`),
   select_by: ({ measure, direction }) => `${direction} ${measure}`,
   random: ({ seed, first }) => `seed ${seed}, starting at number ${first}`,
-  vary: (value) => Object.entries(value).filter(([, [low, high]]) => low !== 1 || high !== 1)
-    .map(([name, [low, high]]) => `${name} ${low} to ${high}`).join(', '),
+  vary: (value) => Object.entries(value).map(([name, range]) => `${name} ${range.join(' to ')}`)
+    .join(', '),
   workspace: (value) => `${value.join(' × ')} voxels`,
   tasks: (value) => value.map((task) => taskWords([{ task }]) || 'photo').join(', '),
 };
@@ -44,8 +44,8 @@ const WORDS = {
 export function inWords(name, value) {
   if (value === null || value === undefined) return 'none';
   if (typeof value === 'boolean') return value ? 'yes' : 'no';
-  if (typeof value === 'object' && WORDS[name]) return WORDS[name](value);
-  if (Array.isArray(value)) return value.length ? value.join(', ') : 'none';
+  if (WORDS[name] && typeof value === 'object') return WORDS[name](value);
+  if (Array.isArray(value)) return value.join(', ') || 'none';
   if (typeof value === 'object') return JSON.stringify(value);
   if (typeof value === 'string') return value;
   const [, unit] = ending(name);
@@ -64,7 +64,7 @@ const isGroup = (name, value) => value !== null && typeof value === 'object' &&
  */
 export function rowsOfSettings(settings, usual, path = []) {
   return Object.entries(settings).flatMap(([name, value]) => {
-    const own = usual === null || usual === undefined ? undefined : usual[name];
+    const own = usual?.[name];
     if (isGroup(name, value)) return rowsOfSettings(value, own, [...path, name]);
     const differs = own !== undefined && JSON.stringify(own) !== JSON.stringify(value);
     const group = path.join('.');

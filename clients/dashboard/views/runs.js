@@ -222,8 +222,8 @@ export async function mount(main, [id], parameters, app) {
     // morphoctl cannot list the evaluations alone, nor the studies.
     const listOf = { '': 'job list', training: 'train list', campaign: 'campaign list' }[kind];
     showDialog('The same from a shell or a program', isStudies
-      ? h('p', {}, 'Studies are campaigns with the mode “study”. The page picks them out of the ' +
-        'campaigns; the service lists them all.') : null,
+      ? h('p', {}, 'Studies are campaigns with the mode “study”; the service lists all campaigns.')
+      : null,
     ...commandSections(commandsOf({
       path: withQuery('v1/jobs', filters()),
       morphoctl: listOf ? [listOf, ...given().filter(([name]) => name !== 'kind')
