@@ -13,8 +13,10 @@ void run_atlas_build(struct ctl *ctl)
   json_t *request = keep(json_object());
   request_fill(ctl, request);
   const json_t *job = post_job(ctl, "/v1/atlases", request, 0);
-  if (wait)
-    job = await_job(ctl, job, "atlas");
+  if (wait) {
+    await_job(ctl, job, "atlas");
+    job = get_json(ctl, "/v1/jobs/%s", text_of(job, "id"));
+  }
   if (ctl->json)
     print_json(job);
   else

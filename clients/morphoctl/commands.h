@@ -41,8 +41,8 @@ struct designs given_designs(struct ctl *ctl, size_t first, const json_t *random
 /* Posts a job with the key of --idempotency-key or a new one, so that it is safe to repeat. */
 json_t *post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s);
 
-/* Waits for the end of a posted job, and shows its progress. Returns the job as it is then. */
-const json_t *await_job(struct ctl *ctl, const json_t *job, const char *noun);
+/* Waits for the end of a posted job, and shows its progress. */
+void await_job(struct ctl *ctl, const json_t *job, const char *noun);
 /* Posts an evaluation. wait: waits for its end and shows progress; the evaluation is then final,
  * with results. */
 json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait);

@@ -342,7 +342,7 @@ json_t *post_job(struct ctl *ctl, const char *path, const json_t *request, unsig
   return keep(send_json(ctl, &how, NULL));
 }
 
-const json_t *await_job(struct ctl *ctl, const json_t *job, const char *noun)
+void await_job(struct ctl *ctl, const json_t *job, const char *noun)
 {
   const char *id = text_of(job, "id");
   catch_interrupts(ctl->quiet ? NULL
@@ -350,7 +350,6 @@ const json_t *await_job(struct ctl *ctl, const json_t *job, const char *noun)
                                                  "it: morphoctl job cancel %s",
                                                  noun, id, id)));
   wait_for(ctl, id);
-  return get_json(ctl, "/v1/jobs/%s", id);
 }
 
 json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait)
@@ -360,6 +359,6 @@ json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool 
   if (!wait || json_object_get(evaluation, "results") != NULL ||
       (is_final(state) && strcmp(state, "succeeded") != 0))
     return evaluation;
-  (void)await_job(ctl, evaluation, "evaluation");
+  await_job(ctl, evaluation, "evaluation");
   return get_json(ctl, "/v1/evaluations/%s", id);
 }
