@@ -1,10 +1,9 @@
 /* cmd_atlas.c: atlas list, show, download, upload, delete, compare, histogram. */
-#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "commands.h"
+#include "download.h"
 
 #define ATLAS_TYPE      "application/octet-stream"
 #define ATLAS_BYTES_MAX ((size_t)4 << 30)
@@ -64,35 +63,12 @@ void run_atlas_show(struct ctl *ctl)
 
 /* ---- files ---- */
 
-struct saving {
-  const char *path;
-  FILE *file; /* opened when the first bytes arrive */
-  size_t bytes;
-};
-
-static int save_piece(void *context, const char *bytes, size_t n)
-{
-  struct saving *saving = context;
-  if (saving->file == NULL)
-    saving->file = strcmp(saving->path, "-") == 0 ? stdout : fopen(saving->path, "we");
-  if (saving->file == NULL || fwrite(bytes, 1, n, saving->file) != n)
-    fail(STATUS_ERROR, "%s: %s", saving->path, strerror(errno));
-  saving->bytes += n;
-  return 0;
-}
-
 void run_atlas_download(struct ctl *ctl)
 {
   const char *output = option_text(ctl, "output", NULL);
-  struct saving saving = {.path = output != NULL ? output : path_to("%s.atlas", ctl->operands[0])};
-  if (strcmp(saving.path, "-") == 0 && isatty(STDOUT_FILENO))
-    fail(STATUS_USAGE, "an atlas is not written to a terminal: give --output FILE");
-  saving.path = keep(format_text("%s", saving.path));
-  transport_download(ctl, atlas_path(ctl, "/file"), ATLAS_TYPE, save_piece, &saving);
-  if (saving.file != NULL && saving.file != stdout && fclose(saving.file) != 0)
-    fail(STATUS_ERROR, "%s: %s", saving.path, strerror(errno));
-  if (!ctl->quiet && saving.file != stdout)
-    print_plain_line(stderr, "%s: %zu bytes", saving.path, saving.bytes);
+  if (output == NULL)
+    output = keep(format_text("%s.atlas", ctl->operands[0]));
+  download(ctl, atlas_path(ctl, "/file"), ATLAS_TYPE, output, "an atlas is");
 }
 
 void run_atlas_upload(struct ctl *ctl)

@@ -5,59 +5,22 @@
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "commands.h"
+#include "download.h"
 
 #define SCORES_TYPE "application/zstd"
 #define MAGIC       0x184D2A5DU /* of a frame that zstd skips */
 #define HEAD_BYTES  12
 #define BLOCK_MAX   ((size_t)96 << 20)
 
-/* Shows on a terminal how many bytes have passed. what NULL: erases that. */
-static void show_bytes(const struct ctl *ctl, const char *what, uint64_t bytes)
-{
-  if (!ctl->progress || ctl->quiet)
-    return;
-  fputs("\r\033[K", stderr);
-  if (what != NULL)
-    fprintf(stderr, "%s  %.1f MB", what, (double)bytes / 1e6);
-}
-
 /* ---- export ---- */
-
-struct saving {
-  const struct ctl *ctl;
-  const char *path;
-  FILE *file; /* opened when the first bytes arrive */
-  uint64_t bytes;
-};
-
-static int save_piece(void *context, const char *bytes, size_t n)
-{
-  struct saving *saving = context;
-  if (saving->file == NULL)
-    saving->file = strcmp(saving->path, "-") == 0 ? stdout : fopen(saving->path, "we");
-  if (saving->file == NULL || fwrite(bytes, 1, n, saving->file) != n)
-    fail(STATUS_ERROR, "%s: %s", saving->path, strerror(errno));
-  saving->bytes += n;
-  show_bytes(saving->ctl, "received", saving->bytes);
-  return 0;
-}
 
 void run_scores_export(struct ctl *ctl)
 {
   static const char *const filters[] = {"controller", "class", "since", NULL};
-  struct saving saving = {.ctl = ctl, .path = ctl->n_operands > 0 ? ctl->operands[0] : "-"};
-  if (strcmp(saving.path, "-") == 0 && isatty(STDOUT_FILENO))
-    fail(STATUS_USAGE, "scores are not written to a terminal: name a file, or use a pipe");
-  catch_interrupts(NULL);
-  transport_download(ctl, path_with(ctl, "/v1/scores", filters), SCORES_TYPE, save_piece, &saving);
-  show_bytes(ctl, NULL, 0);
-  if (saving.file != NULL && saving.file != stdout && fclose(saving.file) != 0)
-    fail(STATUS_ERROR, "%s: %s", saving.path, strerror(errno));
-  if (!ctl->quiet && saving.file != stdout)
-    print_plain_line(stderr, "%s: %" PRIu64 " bytes", saving.path, saving.bytes);
+  download(ctl, path_with(ctl, "/v1/scores", filters), SCORES_TYPE,
+           ctl->n_operands > 0 ? ctl->operands[0] : "-", "scores are");
 }
 
 /* ---- import ---- */
