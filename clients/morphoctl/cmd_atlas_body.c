@@ -21,7 +21,7 @@ static const char *body_path(struct ctl *ctl, const char *below)
     return path;
   }
   if (ctl->n_operands < 2)
-    fail(STATUS_USAGE, "give a DESIGN, as those of eval, or --position N");
+    fail(STATUS_USAGE, "give a DESIGN, as for eval, or --position N");
   const struct designs designs = given_designs(ctl, 1, NULL);
   const json_t *design = json_array_get(designs.list, 0);
   if (json_array_size(designs.list) != 1)

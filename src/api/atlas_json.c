@@ -172,8 +172,8 @@ bool mo_atlas_query_range(struct mo_request *request, float *lo, float *hi)
   if (*lo < *hi)
     return true;
   mo_reply_bad_parameter(request, mo_query(request, "lo") != NULL ? "lo" : "hi",
-                         "lo must be below hi, and both within the range of the scores if only one "
-                         "is given");
+                         "lo must be below hi; without one of them, the other must be within the "
+                         "range of the scores");
   return false;
 }
 

@@ -297,7 +297,8 @@ static int take(struct mo_atlas_library *library, const char *name, bool to_desc
   if (error != MO_OK)
     return error;
   entry->n_users++;
-  entry->used = ++library->clock;
+  if (!to_describe) /* lists of all atlases do not make one worth keeping */
+    entry->used = ++library->clock;
   *ret = entry;
   return MO_OK;
 }

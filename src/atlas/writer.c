@@ -38,7 +38,7 @@ struct mo_atlas_writer {
   bool is_named;     /* PATH.part has become PATH */
   uint64_t position; /* the next body, which is the one with next_key */
   uint64_t next_key;
-  bool knows_next;    /* or there is none */
+  bool knows_next;    /* also if no body is left */
   uint64_t block;     /* index of the block that is being filled */
   uint32_t filled;    /* its bodies so far */
   uint32_t saved;     /* those of them that PATH.part has */

@@ -128,7 +128,7 @@ static int adopt(struct run *run)
     error = MO_OK; /* damaged, or of another kind */
   if (error == MO_OK && !is_own)
     error = mo_runner_give_up(run->runner, MO_ERR_DUPLICATE,
-                              "another atlas has got the name of this one; delete or rename it, "
+                              "another atlas now has this name; delete or rename it, "
                               "then resume the job");
   if (error == MO_OK) /* that attempt may not have synced its name */
     error = mo_store_atlases_sync(run->jobs->store);
@@ -147,8 +147,9 @@ static int resolve(struct run *run)
   const int error = adopt(run);
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  mo_runner_warn(run->runner, MO_ERR_CONFLICT,
-                 "the unfinished atlas was computed by other code; it is built from the start");
+  mo_runner_warn(
+      run->runner, MO_ERR_CONFLICT,
+      "the unfinished atlas was computed by different code, so it is being rebuilt from the start");
   return mo_store_atlas_restart(run->jobs->store, run->status.record.name);
 }
 
@@ -171,8 +172,9 @@ static int open_writer(void *context)
   }
   if (run->is_complete || error == MO_OK)
     return MO_OK;
-  run->runner->busy_text = "another process writes the unfinished file of this atlas; stop it, and "
-                           "the job will continue";
+  run->runner->busy_text =
+      "another process is writing the unfinished file of this atlas; stop it, and "
+      "the job will continue";
   return mo_runner_fail(run->runner, error == MO_ERR_CONFLICT ? MO_ERR_DUPLICATE : error,
                         message.text);
 }
@@ -327,10 +329,9 @@ static int describe_source(struct run *run)
 {
   struct mo_atlas_source *source = &run->source;
   const char *fingerprint = fingerprint_of(run);
+  const struct mo_job *job = &run->status.job;
   struct mo_sha256 physics;
-  const int error = mo_store_atlas_physics(run->jobs->store, run->id, &physics);
-  if (error != MO_OK)
-    return error;
+  mo_physics_hash(&job->physics, job->precision, job->sensor, &physics);
   *source = (struct mo_atlas_source){.scope = {MO_STORE_WORKSPACE, run->status.record.voxels},
                                      .orientations = run->status.record.orientations};
   memcpy(source->controller_sha256, run->status.job.controller_sha256.bytes,
@@ -423,8 +424,6 @@ static int finish_file(struct run *run)
   int error = mo_atlas_writer_finish(run->writer, &message);
   if (error == MO_ERR_CONFLICT)
     error = adopt(run);
-  if (error == MO_ERR_NOT_FOUND) /* it has gone again */
-    error = mo_atlas_writer_finish(run->writer, &message);
   if (error == MO_ERR_CONFLICT)
     error = MO_ERR_DUPLICATE;
   run->is_complete = error == MO_OK;

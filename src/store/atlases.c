@@ -107,18 +107,6 @@ int mo_store_atlas(struct mo_store *store, int64_t id, struct mo_atlas_status *s
   return load_status(reader, id, status);
 }
 
-static int take_hash(sqlite3_stmt *row, void *sha256)
-{
-  return mo_column_hash(row, 0, sha256);
-}
-
-int mo_store_atlas_physics(struct mo_store *store, int64_t id, struct mo_sha256 *sha256)
-{
-  static const char sql[] =
-      "SELECT p.sha256 FROM atlases a JOIN physics p ON p.id=a.physics WHERE a.job=?1";
-  return mo_read_one(store, sql, MO_VALUES(mo_int(id)), take_hash, sha256);
-}
-
 /* ---- the runner's writes ---- */
 
 static char *part_path(const struct mo_store *store, const char *name)

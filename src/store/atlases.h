@@ -51,9 +51,6 @@ int mo_store_submit_atlas(struct mo_store *store, const struct mo_atlas_request 
 
 /* MO_ERR_NOT_FOUND. */
 int mo_store_atlas(struct mo_store *store, int64_t id, struct mo_atlas_status *status);
-/* Reads the hash of the physics that a job's scores are computed with. */
-int mo_store_atlas_physics(struct mo_store *store, int64_t id, struct mo_sha256 *sha256);
-
 /* ---- the runner's writes ---- */
 
 /* Makes the writer of a job's file, with the store's system calls: as mo_atlas_writer_create. */

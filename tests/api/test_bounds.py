@@ -41,7 +41,10 @@ def lists():
 def atlas(service):
     """An atlas of the name that the paths have."""
     body = {"voxels": 1, "name": "small", "physics": {"n_steps": 8, "control_period_s": 0.016}}
-    assert await_end(service, f"/v1/jobs/{service.post('/v1/atlases', body)['id']}")
+    path = f"/v1/jobs/{service.post('/v1/atlases', body)['id']}"
+    assert await_end(service, path).json()["state"] == "succeeded"
+    yield
+    assert service.request("DELETE", "/v1/atlases/small").status == 204
 
 
 @pytest.fixture(scope="module")

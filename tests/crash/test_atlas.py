@@ -165,7 +165,7 @@ def test_files_of_others(daemon):
         one.start()
         one.act(job, "resume")
         one.succeed(job, "jobs")
-        assert "was computed by other code" in one.log.read_text()
+        assert "was computed by different code" in one.log.read_text()
         expected = file_of(one).read_bytes()
         again = one.submit(REQUEST | {"name": "again"}, "atlases")
         one.succeed(again, "jobs")

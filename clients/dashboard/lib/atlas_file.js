@@ -454,7 +454,7 @@ export class AtlasFile {
     const { bodies } = await this.#basins();
     const found = [];
     for (let i = 0; i < this.n; i++) if (bodies[i]) found.push(i);
-    found.sort((a, b) => bodies[b] - bodies[a] || a - b);
+    found.sort((a, b) => bodies[b] - bodies[a] || this.scores[a] - this.scores[b] || a - b);
     return { optima: found.length, items: found.slice(0, limit)
       .map((position) => ({ ...this.#bodyAt(position), basin: bodies[position] })) };
   }

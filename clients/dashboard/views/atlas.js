@@ -36,11 +36,19 @@ export async function mount(main, [name], parameters, app) {
   const atlas = new AtlasHttp(name);
   const about = await atlas.about();
   const [environment] = about.environments;
+  // A service that got the file from elsewhere may not know its physics.
+  const known = await getJson(`v1/physics/${about.physics}`).catch((error) => {
+    if (error.status !== 404) throw error;
+    return {};
+  });
   const walker = new AtlasWalk(app, async (genotype, id, signal) => {
+    const { physics, precision } = known;
     const [robot] = await roll([{ voxels: genotype }], environment,
-      { controller: `sha256:${about.controller}`, signal });
+      { controller: `sha256:${about.controller}`, physics, precision, signal });
     return { robot, words: `As drawn, in the first of ${about.environments.length} environments, ` +
-      `under the controller of the atlas, with default physics: loss ${score(robot.loss)}` };
+      `under the controller ${physics ? 'and physics of the atlas' : 'of the atlas, but with ' +
+        'default physics, because this service does not know those of the atlas'}` +
+      `: loss ${score(robot.loss)}` };
   });
   const page = new AtlasPage(atlas, about, {
     app, walker,

@@ -10,7 +10,7 @@ export class AtlasOptima {
   constructor(page) {
     this.page = page;
     this.words = h('span.muted', { role: 'status' }, 'A body is a local optimum if adding or ' +
-      'removing any voxel makes it worse. Its basin is all bodies whose way up ends there.');
+      'removing a voxel does not improve it. Its basin is all bodies whose way up ends there.');
     this.list = h('div.strip.wraps');
     this.load = button('Find them', () => this.#load());
     this.element = h('section.panel.stack', { 'aria-label': 'Local optima' },

@@ -23,16 +23,19 @@ const CHANGES = 8;
 const shareOf = (percentile) => `${(Math.floor(percentile * 100) / 100)
   .toFixed(percentile >= 99 || percentile < 1 ? 2 : 1)} %`;
 
-/** Returns the name of the task in the forms, or its objective in words. */
+/** What makes tasks differ: not their headings, which vary from world to world. */
+const kindOfTask = ({ objective, guide }) => JSON.stringify([objective, guide.kind,
+  guide.points_m]);
+
+/** Returns the name of the task in the forms, or its objective in words, and what its worlds have
+ * besides. */
 export function taskTitle(environments) {
-  const [{ task }] = environments;
+  const [{ task, terrain, damage }] = environments;
   const words = taskWords(environments);
   if (words.includes(',')) return words;
-  const of = task ?? spelledOut('photo');
-  return TASKS.find(({ name }) => {
-    const known = spelledOut(name);
-    return known.objective === of.objective && known.guide.kind === of.guide.kind;
-  })?.title ?? words;
+  const kind = kindOfTask(task ?? spelledOut('photo'));
+  const title = TASKS.find(({ name }) => kindOfTask(spelledOut(name)) === kind)?.title ?? words;
+  return title + (terrain ? ` on a ${terrain.kind}` : '') + (damage ? ', damaged' : '');
 }
 
 export class AtlasPage {

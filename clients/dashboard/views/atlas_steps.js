@@ -55,7 +55,7 @@ export class AtlasSteps {
     const all = body.best_changes;
     const better = all.filter((one) => isLower(one, body)).length;
     say(this.changesWords, all.length === 0 ? 'No body is one voxel away'
-      : better === 0 ? `Nothing is better: any voxel added, removed or moved makes it worse${
+      : better === 0 ? `Nothing is better: no single voxel added, removed or moved improves it${
         this.#bound(body)}`
         : `The best ${all.length}: ${better === all.length ? 'all better'
           : countOf(better, 'better one')}. Click one to go there.`);
@@ -69,8 +69,9 @@ export class AtlasSteps {
     const top = way.optimum;
     const steps = way.bodies_on_path - 1;
     say(this.wayWords, steps === 0 ? 'This body is a local optimum: adding or removing a voxel ' +
-      `makes it worse${this.#bound(body)}` : `${countOf(steps, 'step')} of steepest ascent, by ` +
-      'adding and removing voxels, to a local optimum' +
+      `does not improve it${this.#bound(body)}`
+      : `${countOf(steps, 'step')} of steepest ascent, by adding and removing voxels, to a local ` +
+      'optimum' +
       `${top.id === best.id ? ': the best of all' : ''}`);
     // Each is turned like the one before, so that the eye follows the change.
     let like = genotype;
