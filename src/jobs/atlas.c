@@ -45,7 +45,7 @@ struct run {
   struct mo_atlas_source source;
   struct mo_environment *environments; /* (n) */
   uint32_t n_environments;
-  struct mo_atlas_writer *writer; /* NULL: at first, and when the file is complete */
+  struct mo_atlas_writer *writer; /* NULL: at first, and if the file was complete already */
   struct mo_atlas_bodies *bodies;
   struct mo_controller *controller;
   struct mo_compute_controller *ready;
@@ -303,7 +303,7 @@ static int build(struct run *run)
   for (;;) {
     (void)mo_runner_enter(run->runner, MO_PHASE_PREPARE);
     run->added = 0;
-    error = mo_atlas_wave_fill(&run->wave, run->bodies, run->status.record.bodies_done);
+    error = mo_atlas_wave_fill(&run->wave, run->bodies);
     if (error != MO_OK || run->wave.n == 0)
       return error;
     advance(run, 0);

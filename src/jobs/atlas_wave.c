@@ -36,10 +36,9 @@ void mo_atlas_wave_free(struct mo_atlas_wave *wave)
   free(wave->losses);
 }
 
-int mo_atlas_wave_fill(struct mo_atlas_wave *wave, struct mo_atlas_bodies *bodies, uint64_t first)
+int mo_atlas_wave_fill(struct mo_atlas_wave *wave, struct mo_atlas_bodies *bodies)
 {
   int error = MO_OK;
-  wave->first = first;
   wave->n = wave->n_designs = 0;
   while (wave->n_designs + MO_ORIENTATIONS <= wave->most) {
     struct mo_bits designs[MO_ORIENTATIONS];

@@ -11,7 +11,6 @@ struct mo_atlas_wave {
   enum mo_atlas_orientations orientations;
   uint32_t n_environments;
   uint32_t most;           /* designs */
-  uint64_t first;          /* position of its first body */
   uint32_t n, n_designs;   /* bodies and their designs */
   struct mo_bits *forms;   /* (most) bodies */
   uint32_t *begins;        /* (most + 1) first design of a body */
@@ -25,9 +24,8 @@ struct mo_atlas_wave {
 int mo_atlas_wave_create(struct mo_atlas_wave *wave);
 void mo_atlas_wave_free(struct mo_atlas_wave *wave);
 uint64_t mo_atlas_wave_bytes(uint32_t most, uint32_t n_environments);
-/* Fills the wave with the next bodies of a stream at position `first`; n 0: none is left.
- * MO_ERR_NO_MEMORY. */
-int mo_atlas_wave_fill(struct mo_atlas_wave *wave, struct mo_atlas_bodies *bodies, uint64_t first);
+/* Fills the wave with the next bodies of a stream; n 0: no body is left. MO_ERR_NO_MEMORY. */
+int mo_atlas_wave_fill(struct mo_atlas_wave *wave, struct mo_atlas_bodies *bodies);
 /* Computes the losses of body i, whose designs all have theirs: the means over its designs, added
  * in their order. losses: (n_environments). */
 void mo_atlas_wave_mean(const struct mo_atlas_wave *wave, uint32_t i, double *losses);

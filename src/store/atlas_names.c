@@ -84,6 +84,18 @@ static bool read_part(const char *file, char name[MO_ATLAS_NAME_MAX + 1])
   return mo_atlas_name_is_valid(name);
 }
 
+/* Whether the file is that of jobs that have ended. Of a name without jobs, as after the restore of
+ * an older database, it stays: it may be the work of hours. */
+static int is_over(struct mo_store *store, const char *name, bool *over)
+{
+  static const char sql[] = "SELECT count(*)>0 AND sum(j.state IN(0,1,2,4))=0 FROM atlases a"
+                            " JOIN jobs j ON j.id=a.job WHERE a.name=?1";
+  int64_t is = 0;
+  const int error = mo_sql_find(&store->writer, &is, sql, mo_string(name));
+  *over = error == MO_OK && is != 0;
+  return error;
+}
+
 int mo_atlases_sort_out(struct mo_store *store)
 {
   DIR *folder = opendir(store->atlases_path);
@@ -92,11 +104,8 @@ int mo_atlases_sort_out(struct mo_store *store)
   while (folder != NULL && error == MO_OK && (entry = readdir(folder)) != NULL) {
     char name[MO_ATLAS_NAME_MAX + 1], path[PATH_MAX];
     bool is_left_over = strncmp(entry->d_name, ".tmp-", 5) == 0;
-    int64_t id = 0;
-    if (read_part(entry->d_name, name)) {
-      error = mo_atlas_builder(&store->writer, name, &id);
-      is_left_over = error == MO_OK && id == 0;
-    }
+    if (read_part(entry->d_name, name))
+      error = is_over(store, name, &is_left_over);
     snprintf(path, sizeof(path), "%s/%s", store->atlases_path, entry->d_name);
     if (is_left_over)
       (void)store->files->unlink(path);

@@ -10,7 +10,7 @@ int mo_atlas_builder(struct mo_connection *connection, const char *name, int64_t
 /* As mo_store_atlas_name_check. */
 int mo_atlas_name_find(const struct mo_store *store, struct mo_connection *connection,
                        const char *name, struct mo_message *message);
-/* Deletes unfinished files without a job. Call it before the writer starts. */
+/* Deletes unfinished files of jobs that have ended. Call it before the writer starts. */
 int mo_atlases_sort_out(struct mo_store *store);
 
 #endif

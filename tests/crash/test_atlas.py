@@ -114,7 +114,8 @@ def test_progress_forgives(daemon):
 
 
 def test_left_over(daemon):
-    """Unfinished files without a job are removed, and those of unfinished jobs stay."""
+    """Unfinished files of ended jobs are removed. Those of unfinished jobs stay, and those of which
+    no job is known, as after the restore of an older database."""
     with daemon("one", workers=1) as one:
         job = one.submit(REQUEST, "atlases")
         one.until(lambda: done(one, job) > 0)
@@ -125,9 +126,14 @@ def test_left_over(daemon):
         (folder / ".tmp-1").write_bytes(b"unfinished")
         (folder / "other.atlas").write_bytes(b"somebody's")
         one.start()
-        assert sorted(path.name for path in folder.iterdir()) == ["all.atlas.part", "other.atlas"]
+        kept = ["nobody.atlas.part", "other.atlas"]
+        assert sorted(path.name for path in folder.iterdir()) == ["all.atlas.part", *kept]
         assert one.act(job, "cancel")["state"] == "cancelled"
         one.until(lambda: not (folder / "all.atlas.part").exists())
+        one.end()
+        (folder / "all.atlas.part").write_bytes(b"unfinished")
+        one.start()
+        assert sorted(path.name for path in folder.iterdir()) == kept
         one.end()
 
 
