@@ -17,7 +17,8 @@ def values(mode, soak):
         value = {"mode": mode, "seed": seed, "exclude_pretraining": False}
         few = {} if mode == "zero-shot" else {"controller": "default"}
         learning = {"parent_steps": 1, "child_steps": 1, "checkpoint_every_s": 1}
-        longer = {"generations": 12} if mode == "few-shot" else {}  # until a child is cut short
+        # On every instruction set, children are cut short from about generation 7 on.
+        longer = {"generations": 12} if mode != "simultaneous" else {}
         yield value | few | RACE | longer | ({"learning": learning | {"batch": 4}} if few else {})
         if soak:
             yield value | few | {"preset": "demo", "physics": "paper"}
