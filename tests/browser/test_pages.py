@@ -235,7 +235,7 @@ def test_a_campaign_from_start_to_end_by_keyboard(service, browser):
     browser.open("overview")
     press("New campaign")
     browser.until("document.querySelector('dialog[open] form')")
-    fields = {"population": "8", "generations": "2", "label": "by keyboard"}
+    fields = {"population": "8", "generations": "2000", "label": "by keyboard"}
     for _ in range(40):
         name = browser.run("return document.activeElement.name ?? ''")
         if name in fields:
@@ -256,7 +256,7 @@ def test_a_campaign_from_start_to_end_by_keyboard(service, browser):
     browser.until("document.querySelector('dialog[open]')")
     press("Extend")
     browser.until("!document.querySelector('dialog[open]')")
-    assert service.get(f"/v1/campaigns/{number}")["settings"]["generations"] == 12
+    assert service.get(f"/v1/campaigns/{number}")["settings"]["generations"] == 2010
     press("Resume by keyboard")
     browser.until("document.querySelector('.state')?.textContent === 'running'")
     browser.run("const { createObjectURL } = URL; URL.createObjectURL = (blob) => {"
