@@ -14,6 +14,7 @@ struct bench_options {
   enum mo_isa isa;
   bool quick;
   const char *controller; /* path */
+  const char *designs;    /* of `penetration`: path; NULL: random bodies */
   /* Of `rollout`, `gradient` and `score-error`. dt_s 0: the default step; control_period_s 0: new
    * outputs in every step. */
   double dt_s, control_period_s;
@@ -29,6 +30,7 @@ int bench_rollout(const struct bench_options *options);
 int bench_accuracy(const struct bench_options *options);
 int bench_gradient(const struct bench_options *options);
 int bench_score_error(const struct bench_options *options);
+int bench_penetration(const struct bench_options *options);
 int bench_gradient_accuracy(const struct bench_options *options);
 int bench_gradient_order(const struct bench_options *options);
 int bench_stability(const struct bench_options *options);

@@ -6,15 +6,16 @@
 
 static const char usage[] =
     "Usage: morpho-bench "
-    "rollout|gradient|gradient-accuracy|gradient-order|accuracy|score-error|stability|space|atlas|"
-    "store|stream|evolution "
+    "rollout|gradient|gradient-accuracy|gradient-order|accuracy|score-error|penetration|stability|"
+    "space|atlas|store|stream|evolution "
     "[OPTION…]\n\n  rollout   speed of one core on 200 distinct random bodies × the paper test "
     "set, against its best sgemm rate\n  gradient  speed of one core differentiating 256 rollouts, "
     "against its best sgemm rate; memory; the back end\n  gradient-accuracy  float32 against "
     "float64 gradient of 256 rollouts\n  gradient-order  gradients at smaller and smaller time "
     "steps against their limit\n  accuracy  run time against error for integrators, control "
     "periods, precisions, impact modes and time steps, as CSV\n  score-error  estimated errors of "
-    "scores against the real ones, as CSV and a summary\n  stability  physics that rollouts "
+    "scores against the real ones, as CSV and a summary\n  penetration  masses "
+    "of robots inside their own voxels, as CSV and a summary\n  stability  physics that rollouts "
     "survive, with the linear bound, as CSV and tables\n  space     speed of drawing, naming and "
     "varying random "
     "bodies\n  atlas     all bodies of at most ten voxels, their file and its queries, in a new "
@@ -31,7 +32,8 @@ static const char usage[] =
     "`gradient` and `score-error` (default 4)\n  "
     "--period MS        their control period (default: one step)\n  "
     "--integrator NAME  theirs: paper (default) or split\n  --quick            a tenth of "
-    "the bodies\n";
+    "the bodies\n  --designs FILE     robots of `penetration`, a line each (default: random "
+    "bodies)\n";
 
 static const struct {
   const char *name;
@@ -43,6 +45,7 @@ static const struct {
                   {"gradient-accuracy", bench_gradient_accuracy, NULL},
                   {"accuracy", bench_accuracy, NULL},
                   {"score-error", bench_score_error, NULL},
+                  {"penetration", bench_penetration, NULL},
                   {"gradient-order", bench_gradient_order, NULL},
                   {"stability", bench_stability, NULL},
                   {"atlas", NULL, bench_atlas},
@@ -57,6 +60,7 @@ int main(int argc, char **argv)
                                                {"workers", required_argument, NULL, 'w'},
                                                {"isa", required_argument, NULL, 'i'},
                                                {"controller", required_argument, NULL, 'c'},
+                                               {"designs", required_argument, NULL, 'f'},
                                                {"dt", required_argument, NULL, 'd'},
                                                {"period", required_argument, NULL, 'p'},
                                                {"integrator", required_argument, NULL, 'm'},
@@ -76,6 +80,7 @@ int main(int argc, char **argv)
     case 'w': options.workers = (uint32_t)bench_number(optarg, 0, 1024); break;
     case 'i': options.isa = bench_isa(optarg); break;
     case 'c': options.controller = optarg; break;
+    case 'f': options.designs = optarg; break;
     case 'd': options.dt_s = bench_ms(optarg); break;
     case 'p': options.control_period_s = bench_ms(optarg); break;
     case 'm':
