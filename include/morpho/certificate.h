@@ -1,0 +1,156 @@
+/* certificate.h: what the score of a design is worth: how it changes with the time step, the worlds
+ * and the constants of the physics.
+ *
+ * A certificate scores a list of designs in *trials*. The first trial is the base: the designs in
+ * the environments and with the physics that were asked for. Each of the others changes one thing,
+ * which is its axis, by a level: a finer step, another friction, fresh worlds. The figures follow
+ * from the losses of all trials: per design its score at each level and the change from the base;
+ * per level Kendall's tau-b between the scores of the designs there and at the base, and the regret
+ * of choosing the top k by the base; and a verdict in words. docs/trust.md defines them.
+ *
+ * All of this is a function of settings and losses: equal inputs give equal bits. */
+#ifndef MORPHO_CERTIFICATE_H
+#define MORPHO_CERTIFICATE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <morpho/rollout.h>
+#include <morpho/world.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define MO_CERTIFICATE_DESIGNS_MAX  256
+#define MO_CERTIFICATE_HELD_OUT_MAX 1024
+#define MO_CERTIFICATE_WORLDS_MAX   256
+#define MO_CERTIFICATE_CHANCE_MAX   64
+#define MO_CERTIFICATE_LEVELS_MAX   8   /* factors of each constant */
+#define MO_CERTIFICATE_CHANCE       1e-4 /* largest relative change of the axis `chance` */
+
+/* In a fixed order: new axes are appended. */
+enum mo_axis {
+  MO_AXIS_BASE = 0,
+  MO_AXIS_PRECISION, /* float64; level: 64 */
+  MO_AXIS_STEP,      /* dt / level in float64, for levels 2 and 4; the controller decides at the
+                        same times as in the base */
+  MO_AXIS_HELD_OUT,  /* fresh worlds of the same kind as the base's */
+  MO_AXIS_CHANCE,    /* the base's worlds with all constants changed by at most 0.01 %, as often as
+                        the settings say: how much of a score is luck */
+  MO_AXIS_STIFFNESS, /* a constant times the level; and so on */
+  MO_AXIS_MASS,
+  MO_AXIS_DRAG,
+  MO_AXIS_GRAVITY,
+  MO_AXIS_ACTUATION,
+  MO_AXIS_FRICTION,
+  MO_AXIS_DROP,   /* drop_height_m + level; levels 0.05 and 0.2 m */
+  MO_AXIS_WORLDS, /* all constants drawn from `ranges` by Latin hypercube, in the base's worlds in
+                     turn */
+  MO_AXES
+};
+extern const char *const mo_axis_words[]; /* "base", "precision", "step", "held_out", …, NULL */
+#define MO_AXES_ALL ((UINT32_C(1) << MO_AXES) - 1)
+
+struct mo_certificate_settings {
+  uint64_t seed;
+  uint32_t axes;     /* bits 1 << enum mo_axis; the base is always one of them */
+  uint32_t held_out; /* 256: worlds, 2 … MO_CERTIFICATE_HELD_OUT_MAX */
+  uint32_t worlds;   /* 64: 2 … MO_CERTIFICATE_WORLDS_MAX */
+  uint32_t chance;   /* 16: 2 … MO_CERTIFICATE_CHANCE_MAX */
+  uint32_t top;      /* 0: a tenth of the designs, at least 1 */
+  uint32_t n_levels;
+  double levels[MO_CERTIFICATE_LEVELS_MAX]; /* 0.7, 0.9, 1.1, 1.3; ascending, without 1 */
+  struct mo_factor_ranges ranges; /* 0.7 to 1.3, and friction 1/3 to 4/3 */
+};
+struct mo_certificate_settings mo_certificate_defaults(void);
+/* MO_ERR_INVALID or MO_ERR_RANGE; message names the member and says what to do. */
+int mo_certificate_check(const struct mo_certificate_settings *settings,
+                         struct mo_message *message);
+
+/* One level of one axis. A level with more worlds than a job may have in a list is still one trial:
+ * its caller scores it in parts. */
+struct mo_trial {
+  enum mo_axis axis;
+  double level;
+  enum mo_precision precision;
+  struct mo_physics physics;
+  uint32_t n_environments;
+  bool is_paired; /* world k is the base's world k % n of the base, apart from the level */
+  bool measures;  /* peak_strain and inverted_voxels of each rollout are wanted: of the base */
+};
+/* What the trials are made of. environments: (n_environments) the base's, borrowed; set: the word of
+ * mo_set_words that they are, or NULL. */
+struct mo_certificate_base {
+  struct mo_physics physics;
+  enum mo_precision precision;
+  const struct mo_environment *environments;
+  uint32_t n_environments;
+  const char *set;
+};
+/* The trials of a certificate, in order of axes and levels; the base is the first. Omits axes that
+ * do not apply (mo_certificate_omits). *trials: (n) malloc, owned by the caller. MO_ERR_NO_MEMORY. */
+int mo_certificate_trials(const struct mo_certificate_settings *settings,
+                          const struct mo_certificate_base *base, struct mo_trial **trials,
+                          uint32_t *n);
+/* The environments of one trial: (trial->n_environments), filled in by this function; grids are
+ * borrowed from the base. MO_ERR_NO_MEMORY. */
+int mo_certificate_environments(const struct mo_certificate_settings *settings,
+                                const struct mo_certificate_base *base,
+                                const struct mo_trial *trial, struct mo_environment *environments);
+/* Returns why an axis that was asked for cannot be computed, as a sentence for the reply, or NULL:
+ * held_out if the base's worlds are a list whose terrains belong to no family that can be drawn
+ * from; bisection steps; a step that control periods do not divide; products out of range. */
+const char *mo_certificate_omits(const struct mo_certificate_settings *settings,
+                                 const struct mo_certificate_base *base, enum mo_axis axis);
+
+/* ---- figures ---- */
+
+/* A 95 % confidence interval; NaN, NaN: unknown (fewer than two numbers, or a divergence). */
+struct mo_interval {
+  double lo, hi;
+};
+/* A design at one level. */
+struct mo_trial_score {
+  double score;                /* mean loss over the worlds; NaN: a rollout diverged */
+  struct mo_interval interval; /* of the mean over all worlds of this kind: Student's t */
+  double change;               /* of the score from the base's; paired: mean of differences */
+  struct mo_interval of_change;
+  uint32_t diverged; /* rollouts */
+  uint32_t rank;     /* 1 … n among the designs; diverged ones are last; equal scores share one */
+};
+/* All designs at one level. */
+struct mo_trial_list {
+  double mean_score; /* over designs without a divergence */
+  uint32_t n_diverged_designs;
+  double tau; /* Kendall's tau-b between the scores here and at the base, of designs without a
+                 divergence in either; NaN: fewer than two, or all scores are equal */
+  struct mo_interval of_tau;
+  double regret; /* mean score here of the base's top designs, minus that of the best ones here */
+  double top_score; /* mean score here of the base's top designs */
+};
+/* losses: (n_designs, trials[t].n_environments) per trial t; +infinity: diverged. scores: (n_trials,
+ * n_designs); lists: (n_trials); both filled in. MO_ERR_NO_MEMORY. */
+int mo_certificate_figures(const struct mo_certificate_settings *settings,
+                           const struct mo_trial *trials, uint32_t n_trials,
+                           const float *const *losses, uint32_t n_designs,
+                           struct mo_trial_score *scores, struct mo_trial_list *lists);
+/* Number of designs whose top list the regret is about. */
+uint32_t mo_certificate_top(const struct mo_certificate_settings *settings, uint32_t n_designs);
+
+/* One or two sentences about a design, such as "keeps its rank on finer steps; its score goes from
+ * 0.009 to 0.34 when friction is 0.5 times as large". flags: of mo_measures_flags. */
+#define MO_VERDICT_MAX 512
+void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
+                            const struct mo_trial_score *scores, uint32_t n_designs,
+                            uint32_t design, uint32_t flags, char text[MO_VERDICT_MAX]);
+/* The same about the list. */
+void mo_certificate_list_verdict(const struct mo_trial *trials, uint32_t n_trials,
+                                 const struct mo_trial_list *lists, uint32_t n_designs,
+                                 char text[MO_VERDICT_MAX]);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
