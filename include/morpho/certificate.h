@@ -27,25 +27,26 @@ extern "C" {
 #define MO_CERTIFICATE_HELD_OUT_MAX 1024
 #define MO_CERTIFICATE_WORLDS_MAX   256
 #define MO_CERTIFICATE_CHANCE_MAX   64
-#define MO_CERTIFICATE_LEVELS_MAX   8   /* factors of each constant */
+#define MO_CERTIFICATE_LEVELS_MAX   8    /* factors of each constant */
 #define MO_CERTIFICATE_CHANCE       1e-4 /* largest relative change of the axis `chance` */
 
-/* In a fixed order: new axes are appended. */
+/* In a fixed order: new axes are appended. The levels of an axis are in brackets; an axis without
+ * any is one trial, the level of which is NaN. */
 enum mo_axis {
   MO_AXIS_BASE = 0,
-  MO_AXIS_PRECISION, /* float64; level: 64 */
-  MO_AXIS_STEP,      /* dt / level in float64, for levels 2 and 4; the controller decides at the
-                        same times as in the base */
-  MO_AXIS_HELD_OUT,  /* fresh worlds of the same kind as the base's */
+  MO_AXIS_PRECISION, /* float64 [64] */
+  MO_AXIS_STEP,      /* dt / level in float64 [2, 4]; the controller decides at the same times as in
+                        the base. Its change includes that of the precision */
+  MO_AXIS_HELD_OUT,  /* fresh worlds; mo_certificate_environments says of which kind */
   MO_AXIS_CHANCE,    /* the base's worlds with all constants changed by at most 0.01 %, as often as
                         the settings say: how much of a score is luck */
-  MO_AXIS_STIFFNESS, /* a constant times the level; and so on */
+  MO_AXIS_STIFFNESS, /* a constant times the level [settings.levels]; and so on */
   MO_AXIS_MASS,
   MO_AXIS_DRAG,
   MO_AXIS_GRAVITY,
   MO_AXIS_ACTUATION,
   MO_AXIS_FRICTION,
-  MO_AXIS_DROP,   /* drop_height_m + level; levels 0.05 and 0.2 m */
+  MO_AXIS_DROP,   /* drop_height_m + level [0.05, 0.2] */
   MO_AXIS_WORLDS, /* all constants drawn from `ranges` by Latin hypercube, in the base's worlds in
                      turn */
   MO_AXES
@@ -54,15 +55,16 @@ extern const char *const mo_axis_words[]; /* "base", "precision", "step", "held_
 #define MO_AXES_ALL ((UINT32_C(1) << MO_AXES) - 1)
 
 struct mo_certificate_settings {
-  uint64_t seed;
+  uint64_t seed;     /* 1 */
   uint32_t axes;     /* bits 1 << enum mo_axis; the base is always one of them */
   uint32_t held_out; /* 256: worlds, 2 … MO_CERTIFICATE_HELD_OUT_MAX */
   uint32_t worlds;   /* 64: 2 … MO_CERTIFICATE_WORLDS_MAX */
   uint32_t chance;   /* 16: 2 … MO_CERTIFICATE_CHANCE_MAX */
   uint32_t top;      /* 0: a tenth of the designs, at least 1 */
-  uint32_t n_levels;
-  double levels[MO_CERTIFICATE_LEVELS_MAX]; /* 0.7, 0.9, 1.1, 1.3; ascending, without 1 */
-  struct mo_factor_ranges ranges; /* 0.7 to 1.3, and friction 1/3 to 4/3 */
+  uint32_t n_levels; /* 1 … MO_CERTIFICATE_LEVELS_MAX */
+  double levels[MO_CERTIFICATE_LEVELS_MAX]; /* 0.7, 0.9, 1.1, 1.3; MO_FACTOR_MIN … MAX, ascending,
+                                               without 1 */
+  struct mo_factor_ranges ranges;           /* 0.7 to 1.3, and friction 1/3 to 4/3 */
 };
 struct mo_certificate_settings mo_certificate_defaults(void);
 /* MO_ERR_INVALID or MO_ERR_RANGE; message names the member and says what to do. */
@@ -73,37 +75,53 @@ int mo_certificate_check(const struct mo_certificate_settings *settings,
  * its caller scores it in parts. */
 struct mo_trial {
   enum mo_axis axis;
-  double level;
+  double level; /* NaN: the axis has none */
   enum mo_precision precision;
   struct mo_physics physics;
   uint32_t n_environments;
   bool is_paired; /* world k is the base's world k % n of the base, apart from the level */
   bool measures;  /* peak_strain and inverted_voxels of each rollout are wanted: of the base */
 };
-/* What the trials are made of. environments: (n_environments) the base's, borrowed; set: the word of
- * mo_set_words that they are, or NULL. */
+/* What the trials are made of. */
 struct mo_certificate_base {
-  struct mo_physics physics;
+  struct mo_physics physics; /* checked in all environments, and completed for the controller
+                                (mo_physics_complete) */
   enum mo_precision precision;
-  const struct mo_environment *environments;
-  uint32_t n_environments;
-  const char *set;
+  const struct mo_environment *environments; /* (n_environments) borrowed */
+  uint32_t n_environments;                   /* at least 1 */
+  const char *set; /* the word of mo_set_words that the environments are, unchanged; or NULL */
 };
-/* The trials of a certificate, in order of axes and levels; the base is the first. Omits axes that
- * do not apply (mo_certificate_omits). *trials: (n) malloc, owned by the caller. MO_ERR_NO_MEMORY. */
+/* The trials of a certificate, in order of axes and levels; the base is the first. Leaves out axes
+ * and levels that do not apply (mo_certificate_omits, mo_certificate_note). The settings have been
+ * checked. *trials: (n) malloc, owned by the caller. MO_ERR_NO_MEMORY. */
 int mo_certificate_trials(const struct mo_certificate_settings *settings,
                           const struct mo_certificate_base *base, struct mo_trial **trials,
                           uint32_t *n);
 /* The environments of one trial: (trial->n_environments), filled in by this function; grids are
- * borrowed from the base. MO_ERR_NO_MEMORY. */
+ * borrowed from the base. MO_ERR_NO_MEMORY.
+ *
+ * Held out, the worlds are, for the base
+ *   "paper-test"       mo_environment_held_out: drawn as training draws them. Their lights are 0.4
+ *                      to 2.0 m away, those of the test set 1.5 and 2.0 m
+ *   "morpho-12-TASK"   the first of "morpho-12-TASK-held-out", which has 64
+ *   a list             mo_held_out_tasks, with the tasks, the damage and the factors of the list in
+ *                      turn. Only if each of its worlds could be one of a training: rough 8 × 8
+ *                      heights, the lowest of which is MO_TERRAIN_FLOOR_M, and a fixed light, if it
+ *                      has one, 0.4 to 2.0 m from the center
+ */
 int mo_certificate_environments(const struct mo_certificate_settings *settings,
                                 const struct mo_certificate_base *base,
                                 const struct mo_trial *trial, struct mo_environment *environments);
-/* Returns why an axis that was asked for cannot be computed, as a sentence for the reply, or NULL:
- * held_out if the base's worlds are a list whose terrains belong to no family that can be drawn
- * from; bisection steps; a step that control periods do not divide; products out of range. */
+/* Returns why an axis has no trial, as a sentence for the reply; NULL: it has one, or was not asked
+ * for. */
 const char *mo_certificate_omits(const struct mo_certificate_settings *settings,
                                  const struct mo_certificate_base *base, enum mo_axis axis);
+/* Writes what a reader of the axis must know, as sentences for the reply: fewer worlds than were
+ * asked for, levels that are left out, levels with which the springs of some bodies are unstable,
+ * and worlds that differ in kind from the base's. Returns false if there is nothing. */
+bool mo_certificate_note(const struct mo_certificate_settings *settings,
+                         const struct mo_certificate_base *base, enum mo_axis axis,
+                         struct mo_message *note);
 
 /* ---- figures ---- */
 
@@ -130,8 +148,8 @@ struct mo_trial_list {
   double regret; /* mean score here of the base's top designs, minus that of the best ones here */
   double top_score; /* mean score here of the base's top designs */
 };
-/* losses: (n_designs, trials[t].n_environments) per trial t; +infinity: diverged. scores: (n_trials,
- * n_designs); lists: (n_trials); both filled in. MO_ERR_NO_MEMORY. */
+/* losses: (n_designs, trials[t].n_environments) per trial t; +infinity: diverged. scores:
+ * (n_trials, n_designs); lists: (n_trials); both filled in. MO_ERR_NO_MEMORY. */
 int mo_certificate_figures(const struct mo_certificate_settings *settings,
                            const struct mo_trial *trials, uint32_t n_trials,
                            const float *const *losses, uint32_t n_designs,

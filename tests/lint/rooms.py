@@ -25,6 +25,7 @@ ROOMS = {
     "compute": [],
     "learning": [],
     "evolution": [],
+    "certificate": [],
     "atlas": [],
     "store": ["sqlite3.h"],
     "exchange": ["zstd.h"],
@@ -48,7 +49,8 @@ PUBLIC = {
     "controller.h": "controller", "measure.h": "world", "rollout.h": "rollout",
     "state.h": "rollout", "gradient.h": "rollout",
     "score_error.h": "rollout", "score_ladder.h": "rollout", "compute.h": "compute",
-    "learning.h": "learning", "evolution.h": "evolution", "atlas.h": "atlas"
+    "learning.h": "learning", "evolution.h": "evolution",
+    "certificate.h": "certificate", "atlas.h": "atlas"
 }
 SPEAKS = re.compile(
     r"(?<![\w.>])(?:exit|_exit|abort|printf|puts|perror|syslog)\s*\(|\b(?:stdout|stderr)\b")
