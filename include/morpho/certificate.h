@@ -123,38 +123,63 @@ bool mo_certificate_note(const struct mo_certificate_settings *settings,
                          const struct mo_certificate_base *base, enum mo_axis axis,
                          struct mo_message *note);
 
-/* ---- figures ---- */
+/* ---- figures ----
+ *
+ * Sums are pairwise, in the order of worlds and designs, and no function of libm but sqrt is used,
+ * so that equal losses have equal figures on all machines. */
 
-/* A 95 % confidence interval; NaN, NaN: unknown (fewer than two numbers, or a divergence). */
+/* A 95 % confidence interval; NaN, NaN: unknown. */
 struct mo_interval {
   double lo, hi;
 };
-/* A design at one level. */
+/* A design at one level. If a rollout diverged, the numbers are NaN: there is no mean. */
 struct mo_trial_score {
-  double score;                /* mean loss over the worlds; NaN: a rollout diverged */
-  struct mo_interval interval; /* of the mean over all worlds of this kind: Student's t */
-  double change;               /* of the score from the base's; paired: mean of differences */
+  double score; /* mean loss over the worlds */
+  /* Of the mean over all worlds of this kind, by Student's t. Unknown for a single world. Losses
+   * are skewed, so that intervals of ten worlds contain the mean in 90 to 95 of 100 cases. Where a
+   * trial has each world of the base several times (`worlds`), the base's worlds are the
+   * independent units: the variance is that of the sums over each (CR1, Cameron & Miller 2015).
+   * `chance`: the interval in which the score in one more copy of the worlds lies (a prediction
+   * interval), because the question is how far luck moves a score. */
+  struct mo_interval interval;
+  /* From the base's score. Paired: the mean of the differences between the loss in a world and the
+   * base's in the same world, with an interval like that of the score. Otherwise the difference of
+   * the means, with Welch's interval, degrees of freedom rounded down. The base: unknown. */
+  double change;
   struct mo_interval of_change;
   uint32_t diverged; /* rollouts */
   uint32_t rank;     /* 1 … n among the designs; diverged ones are last; equal scores share one */
 };
-/* All designs at one level. */
+/* All designs at one level. Designs with a divergence, here or at the base, do not count in tau. On
+ * the axis `chance`, tau, regret and top_score are means over the copies of the worlds: those of
+ * one copy, not of their mean score, which has less luck in it than a score of the base. */
 struct mo_trial_list {
   double mean_score; /* over designs without a divergence */
   uint32_t n_diverged_designs;
-  double tau; /* Kendall's tau-b between the scores here and at the base, of designs without a
-                 divergence in either; NaN: fewer than two, or all scores are equal */
+  double tau; /* Kendall's tau-b between the scores here and at the base; NaN: at the base, for
+                 fewer than two designs, or if all scores are equal */
+  /* Of tau in all designs of this kind. Unknown for fewer than MO_TAU_DESIGNS_MIN designs. From the
+   * jackknife variance of tau over designs, which is consistent (Arvesen 1969), comes the number of
+   * independent pairs that would have the same variance, (1 − tau²) / variance, at least half the
+   * number of designs (Hoeffding 1948) and at most that of all pairs; Wilson's score interval
+   * (1927) with this number stays within [−1, 1]. If all pairs agree, or all disagree, the variance
+   * is that with one exception. */
   struct mo_interval of_tau;
-  double regret; /* mean score here of the base's top designs, minus that of the best ones here */
-  double top_score; /* mean score here of the base's top designs */
+  /* Of the base's top designs (mo_certificate_top): their mean score here, and by how much it is
+   * above that of the best ones here, as many. NaN: one of them diverged here. The base's regret is
+   * NaN. */
+  double top_score, regret;
 };
-/* losses: (n_designs, trials[t].n_environments) per trial t; +infinity: diverged. scores:
+#define MO_TAU_DESIGNS_MIN 4
+/* losses: (n_designs, trials[t].n_environments) per trial t; +infinity: diverged. The base is the
+ * first trial; a certificate that is not complete has figures of its first trials. scores:
  * (n_trials, n_designs); lists: (n_trials); both filled in. MO_ERR_NO_MEMORY. */
 int mo_certificate_figures(const struct mo_certificate_settings *settings,
                            const struct mo_trial *trials, uint32_t n_trials,
                            const float *const *losses, uint32_t n_designs,
                            struct mo_trial_score *scores, struct mo_trial_list *lists);
-/* Number of designs whose top list the regret is about. */
+/* Returns the number of designs that top_score and regret are about; fewer, if fewer have no
+ * divergence at the base. */
 uint32_t mo_certificate_top(const struct mo_certificate_settings *settings, uint32_t n_designs);
 
 /* One or two sentences about a design, such as "keeps its rank on finer steps; its score goes from

@@ -14,8 +14,9 @@
 
 #include "base/words.h"
 
-#define LIGHT_NEAR_M 0.4 /* of the worlds of trainings (world/environments.c), and so is the rest  \
-                          */
+#define LIGHT_NEAR_M                                                                               \
+  0.4 /* of the worlds of trainings (world/environments.c), and so is the rest                     \
+       */
 #define LIGHT_FAR_M 2.0
 #define ROUGHEST_M  0.13 /* standard deviation of 64 heights; their σ is below 0.1 m */
 #define ROUNDED_M   1e-6 /* numbers of a list may have been rounded */
