@@ -182,13 +182,32 @@ int mo_certificate_figures(const struct mo_certificate_settings *settings,
  * divergence at the base. */
 uint32_t mo_certificate_top(const struct mo_certificate_settings *settings, uint32_t n_designs);
 
-/* One or two sentences about a design, such as "keeps its rank on finer steps; its score goes from
- * 0.009 to 0.34 when friction is 0.5 times as large". flags: of mo_measures_flags. */
-#define MO_VERDICT_MAX 512
+/* ---- verdicts ----
+ *
+ * Sentences by rules; equal figures have equal sentences. Numbers are rounded to two digits. An
+ * axis that has no trial has no sentence. */
+
+#define MO_VERDICT_MAX 1024
+/* Losses: 1 is that of standing still. A score is worse at a level if it is higher by this much or
+ * more, and the interval of its change, if known, is above 0. */
+#define MO_VERDICT_CHANGE 0.05
+#define MO_VERDICT_AXES   2 /* at most so many axes of the worst change are named */
+#define MO_VERDICT_RANKS                                                                           \
+  0.1 /* a rank that moves by at most this share of the designs, or by 1, is                       \
+         about kept */
+#define MO_VERDICT_HOLDS  0.8 /* tau from here on: an order holds */
+#define MO_VERDICT_PARTLY 0.5 /* tau from here on: it holds in part */
+
+/* About a design: flags; its rank and score on the finest steps, or in float64; how far luck moves
+ * its score, and over which ranks; with which constants it is worse, the worst first; its score in
+ * fresh worlds. As in "Keeps its rank on finer steps (0.0086 to 0.0088). Its score goes from 0.0086
+ * to 0.34 when friction is 0.5 times as large." flags: of mo_measures_flags, over its rollouts at
+ * the base. */
 void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
                             const struct mo_trial_score *scores, uint32_t n_designs,
                             uint32_t design, uint32_t flags, char text[MO_VERDICT_MAX]);
-/* The same about the list. */
+/* About the list: where its order holds, holds in part, and does not, of single constants only at
+ * the level with the lowest tau; the largest regret; the worst mean score; divergences. */
 void mo_certificate_list_verdict(const struct mo_trial *trials, uint32_t n_trials,
                                  const struct mo_trial_list *lists, uint32_t n_designs,
                                  char text[MO_VERDICT_MAX]);

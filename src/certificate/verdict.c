@@ -1,0 +1,420 @@
+/* verdict.c: figures in words. The rules are those of include/morpho/certificate.h. */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include <morpho/certificate.h>
+#include <morpho/measure.h>
+
+#include "base/text.h"
+
+/* ---- words ---- */
+
+#define SHORT_BYTES 32
+
+/* Rounds a number to two digits, or to a whole number. */
+static const char *rounded(double value, char text[SHORT_BYTES])
+{
+  snprintf(text, SHORT_BYTES, fabs(value) >= 100 ? "%.0f" : "%.2g", value);
+  return text;
+}
+#define ROUNDED(value) rounded((value), (char[SHORT_BYTES]){0})
+
+static struct mo_text begin(char text[MO_VERDICT_MAX])
+{
+  text[0] = '\0';
+  return (struct mo_text){.data = text, .capacity = MO_VERDICT_MAX, .is_fixed = true};
+}
+
+/* Separates a sentence from the one before. */
+static void next_sentence(struct mo_text *text)
+{
+  if (text->size > 0)
+    mo_text_add(text, " ");
+}
+
+/* Appends a range, or one number if both are rounded to it. */
+static void add_range(struct mo_text *text, double from, double to)
+{
+  const char *first = ROUNDED(from), *last = ROUNDED(to);
+  mo_text_format(text, strcmp(first, last) == 0 ? "%s" : "%s to %s", first, last);
+}
+
+/* Appends what a level changes: "when friction is 0.5 times as large". */
+static void add_where(struct mo_text *text, const struct mo_trial *trial)
+{
+  switch (trial->axis) {
+  case MO_AXIS_BASE: mo_text_add(text, "at the base"); break;
+  case MO_AXIS_PRECISION: mo_text_add(text, "in float64"); break;
+  case MO_AXIS_STEP: mo_text_add(text, "on finer steps"); break;
+  case MO_AXIS_HELD_OUT: mo_text_add(text, "in fresh worlds"); break;
+  case MO_AXIS_CHANCE: mo_text_add(text, "when constants change by 0.01 %"); break;
+  case MO_AXIS_WORLDS: mo_text_add(text, "when all constants vary"); break;
+  case MO_AXIS_DROP: mo_text_format(text, "when dropped from %.6g m higher", trial->level); break;
+  default:
+    mo_text_format(text, "when %s is %.6g times as large", mo_axis_words[trial->axis],
+                   trial->level);
+  }
+}
+
+/* Returns whether an axis changes a single constant, or the start. */
+static bool is_of_one(enum mo_axis axis)
+{
+  return axis >= MO_AXIS_STIFFNESS && axis <= MO_AXIS_DROP;
+}
+
+/* Returns the last trial of an axis; 0, which is the base: none. */
+static uint32_t last_of(const struct mo_trial *trials, uint32_t n_trials, enum mo_axis axis)
+{
+  uint32_t found = 0;
+  for (uint32_t t = 1; t < n_trials; t++)
+    if (trials[t].axis == axis)
+      found = t;
+  return found;
+}
+
+/* Returns the trial that has the smallest error of numerics; 0: none. */
+static uint32_t finest(const struct mo_trial *trials, uint32_t n_trials)
+{
+  const uint32_t step = last_of(trials, n_trials, MO_AXIS_STEP);
+  return step > 0 ? step : last_of(trials, n_trials, MO_AXIS_PRECISION);
+}
+
+/* ---- a design ---- */
+
+struct about {
+  const struct mo_trial *trials;
+  const struct mo_trial_score *scores; /* (n_trials, n_designs) */
+  uint32_t n_trials, n_designs, design;
+};
+
+static const struct mo_trial_score *score_at(const struct about *about, uint32_t t)
+{
+  return &about->scores[(size_t)t * about->n_designs + about->design];
+}
+
+/* Returns by how much a level is worse: infinity for a divergence, 0 if it is not. */
+static double worse_by(const struct about *about, uint32_t t)
+{
+  const struct mo_trial_score *score = score_at(about, t);
+  if (score->diverged > 0)
+    return INFINITY;
+  const bool is_sure = !(score->of_change.lo <= 0);
+  return score->change >= MO_VERDICT_CHANGE && is_sure ? score->change : 0;
+}
+
+static void add_divergence(struct mo_text *text, const struct about *about, uint32_t t)
+{
+  const unsigned n = about->trials[t].n_environments;
+  mo_text_format(text, "diverges in %u of %u rollouts ", (unsigned)score_at(about, t)->diverged, n);
+  add_where(text, &about->trials[t]);
+}
+
+static void add_flags(struct mo_text *text, uint32_t flags)
+{
+  if (flags & MO_FLAG_OVERSTRAINED) {
+    next_sentence(text);
+    mo_text_format(text, "Stretches springs to more than %g times their length.",
+                   MO_PEAK_STRAIN_BOUND + 1);
+  }
+  if (flags & MO_FLAG_INVERTED) {
+    next_sentence(text);
+    mo_text_add(text, "Turns voxels inside out.");
+  }
+}
+
+static void add_numerics(struct mo_text *text, const struct about *about)
+{
+  const uint32_t t = finest(about->trials, about->n_trials);
+  const struct mo_trial_score *here = score_at(about, t), *base = score_at(about, 0);
+  const double few = fmax(1, MO_VERDICT_RANKS * about->n_designs);
+  if (t == 0)
+    return;
+  next_sentence(text);
+  if (here->diverged > 0) {
+    mo_text_add(text, "Its score is in doubt: it ");
+    add_divergence(text, about, t);
+    mo_text_add(text, ".");
+    return;
+  }
+  if (about->n_designs == 1)
+    mo_text_add(text, worse_by(about, t) > 0 ? "Is worse " : "Keeps its score ");
+  else if (here->rank == base->rank)
+    mo_text_add(text, "Keeps its rank ");
+  else if (fabs((double)here->rank - base->rank) <= few)
+    mo_text_format(text, "About keeps its rank (%u to %u) ", (unsigned)base->rank,
+                   (unsigned)here->rank);
+  else
+    mo_text_format(text, "%s from rank %u to %u ", here->rank > base->rank ? "Falls" : "Rises",
+                   (unsigned)base->rank, (unsigned)here->rank);
+  add_where(text, &about->trials[t]);
+  mo_text_add(text, " (");
+  add_range(text, base->score, here->score);
+  mo_text_add(text, ").");
+}
+
+/* Returns the rank that a score would have among the other designs at the base. */
+static uint32_t rank_among_others(const struct about *about, double score)
+{
+  uint32_t rank = 1;
+  for (uint32_t i = 0; i < about->n_designs; i++)
+    rank += i != about->design && about->scores[i].score < score;
+  return rank;
+}
+
+static void add_luck(struct mo_text *text, const struct about *about)
+{
+  const uint32_t t = last_of(about->trials, about->n_trials, MO_AXIS_CHANCE);
+  const struct mo_interval interval = score_at(about, t)->interval;
+  if (t == 0)
+    return;
+  next_sentence(text);
+  if (score_at(about, t)->diverged > 0) {
+    mo_text_add(text, "It ");
+    add_divergence(text, about, t);
+    mo_text_add(text, ".");
+    return;
+  }
+  const double lo = fmax(interval.lo, 0); /* losses are at least 0 */
+  const uint32_t first = rank_among_others(about, lo);
+  const uint32_t last = rank_among_others(about, interval.hi);
+  mo_text_add(text, "By luck, its score is ");
+  add_range(text, lo, interval.hi);
+  if (about->n_designs > 1 && first == last)
+    mo_text_format(text, " (rank %u)", (unsigned)first);
+  else if (about->n_designs > 1)
+    mo_text_format(text, " (ranks %u to %u)", (unsigned)first, (unsigned)last);
+  mo_text_add(text, ".");
+}
+
+/* Appends the worst axes of one constant, each at its worst level. */
+static void add_constants(struct mo_text *text, const struct about *about)
+{
+  uint32_t worst[MO_AXES] = {0}, order[MO_AXES], n = 0, others = 0;
+  bool any = false;
+  for (uint32_t t = 1; t < about->n_trials; t++) {
+    const enum mo_axis axis = about->trials[t].axis;
+    any = any || is_of_one(axis);
+    if (is_of_one(axis) &&
+        worse_by(about, t) > (worst[axis] > 0 ? worse_by(about, worst[axis]) : 0))
+      worst[axis] = t;
+  }
+  for (unsigned axis = 0; axis < MO_AXES; axis++) {
+    uint32_t at = n;
+    if (worst[axis] == 0)
+      continue;
+    while (at > 0 && worse_by(about, order[at - 1]) < worse_by(about, worst[axis])) {
+      order[at] = order[at - 1];
+      at--;
+    }
+    order[at] = worst[axis];
+    n++;
+  }
+  if (!any)
+    return;
+  next_sentence(text);
+  if (n == 0) {
+    mo_text_format(text, "No change of one constant clearly worsens its score (by %g or more).",
+                   MO_VERDICT_CHANGE);
+    return;
+  }
+  bool has_from = false;
+  for (uint32_t i = 0; i < n && i < MO_VERDICT_AXES; i++) {
+    mo_text_add(text, i == 0 ? "" : i + 1 < n && i + 1 < MO_VERDICT_AXES ? ", " : " and ");
+    if (score_at(about, order[i])->diverged > 0) {
+      mo_text_add(text, i == 0 ? "It " : "");
+      add_divergence(text, about, order[i]);
+      continue;
+    }
+    mo_text_add(text, i == 0 ? "Its score goes " : has_from ? "" : "its score goes ");
+    if (!has_from)
+      mo_text_format(text, "from %s ", ROUNDED(score_at(about, 0)->score));
+    has_from = true;
+    mo_text_format(text, "to %s ", ROUNDED(score_at(about, order[i])->score));
+    add_where(text, &about->trials[order[i]]);
+  }
+  others = n > MO_VERDICT_AXES ? n - MO_VERDICT_AXES : 0;
+  if (others > 0)
+    mo_text_format(text, "; %u other %s", (unsigned)others,
+                   others == 1 ? "change worsens it" : "changes worsen it");
+  mo_text_add(text, ".");
+}
+
+/* Appends the score in fresh worlds, and with varied constants if it is worse there. */
+static void add_worlds(struct mo_text *text, const struct about *about, enum mo_axis axis)
+{
+  const uint32_t t = last_of(about->trials, about->n_trials, axis);
+  const struct mo_trial_score *score = score_at(about, t);
+  if (t == 0 || (axis == MO_AXIS_WORLDS && worse_by(about, t) == 0))
+    return;
+  next_sentence(text);
+  if (score->diverged > 0) {
+    mo_text_add(text, "It ");
+    add_divergence(text, about, t);
+  } else {
+    mo_text_format(text, "Scores %s ", ROUNDED(score->score));
+    if (!isnan(score->interval.lo)) {
+      mo_text_add(text, "(");
+      add_range(text, score->interval.lo, score->interval.hi);
+      mo_text_add(text, ") ");
+    }
+    add_where(text, &about->trials[t]);
+  }
+  mo_text_add(text, ".");
+}
+
+void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
+                            const struct mo_trial_score *scores, uint32_t n_designs,
+                            uint32_t design, uint32_t flags, char text[MO_VERDICT_MAX])
+{
+  const struct about about = {trials, scores, n_trials, n_designs, design};
+  struct mo_text words = begin(text);
+  add_flags(&words, flags);
+  if (score_at(&about, 0)->diverged > 0) {
+    next_sentence(&words);
+    mo_text_add(&words, "Has no score: it ");
+    add_divergence(&words, &about, 0);
+    mo_text_add(&words, ".");
+    return;
+  }
+  add_numerics(&words, &about);
+  add_luck(&words, &about);
+  add_constants(&words, &about);
+  add_worlds(&words, &about, MO_AXIS_WORLDS);
+  add_worlds(&words, &about, MO_AXIS_HELD_OUT);
+  if (words.size == 0)
+    mo_text_format(&words, "Scores %s; no axis says what changes it.",
+                   ROUNDED(score_at(&about, 0)->score));
+}
+
+/* ---- the list ---- */
+
+enum holding { HOLDS, PARTLY, NOT, HOLDINGS };
+static const char *const holding_words[] = {"holds", "holds in part", "does not hold"};
+
+static enum holding holding_of(double tau)
+{
+  return tau >= MO_VERDICT_HOLDS ? HOLDS : tau >= MO_VERDICT_PARTLY ? PARTLY : NOT;
+}
+
+/* Collects the trials that the sentence about the order is about. Returns their number. */
+static uint32_t choose_trials(const struct mo_trial *trials, uint32_t n_trials,
+                              const struct mo_trial_list *lists, uint32_t chosen[MO_AXES])
+{
+  const uint32_t of_axes[] = {finest(trials, n_trials), last_of(trials, n_trials, MO_AXIS_HELD_OUT),
+                              last_of(trials, n_trials, MO_AXIS_WORLDS),
+                              last_of(trials, n_trials, MO_AXIS_CHANCE)};
+  uint32_t n = 0, lowest = 0;
+  for (size_t i = 0; i < sizeof(of_axes) / sizeof(*of_axes); i++)
+    if (of_axes[i] > 0 && !isnan(lists[of_axes[i]].tau))
+      chosen[n++] = of_axes[i];
+  for (uint32_t t = 1; t < n_trials; t++)
+    if (is_of_one(trials[t].axis) && !isnan(lists[t].tau) &&
+        (lowest == 0 || lists[t].tau < lists[lowest].tau))
+      lowest = t;
+  if (lowest > 0)
+    chosen[n++] = lowest;
+  return n;
+}
+
+static void add_order(struct mo_text *text, const struct mo_trial *trials, uint32_t n_trials,
+                      const struct mo_trial_list *lists, uint32_t n_designs)
+{
+  uint32_t chosen[MO_AXES];
+  const uint32_t n = choose_trials(trials, n_trials, lists, chosen);
+  bool any = false;
+  if (n == 0)
+    return;
+  for (enum holding holding = HOLDS; holding < HOLDINGS; holding++) {
+    uint32_t left = 0;
+    for (uint32_t i = 0; i < n; i++)
+      left += holding_of(lists[chosen[i]].tau) == holding;
+    if (left == 0)
+      continue;
+    if (any)
+      mo_text_format(text, "; it %s ", holding_words[holding]);
+    else
+      mo_text_format(text, "The order of the %u designs %s ", (unsigned)n_designs,
+                     holding_words[holding]);
+    any = true;
+    for (uint32_t i = 0; i < n; i++) {
+      const struct mo_trial *trial = &trials[chosen[i]];
+      if (holding_of(lists[chosen[i]].tau) != holding)
+        continue;
+      add_where(text, trial);
+      mo_text_format(text, " (tau %.2f", lists[chosen[i]].tau);
+      mo_text_add(text, trial->axis == MO_AXIS_CHANCE ? ": luck)"
+                        : is_of_one(trial->axis)      ? ", the lowest of one constant)"
+                                                      : ")");
+      left--;
+      mo_text_add(text, left > 1 ? ", " : left == 1 ? " and " : "");
+    }
+  }
+  mo_text_add(text, ".");
+}
+
+static void add_regret(struct mo_text *text, const struct mo_trial *trials, uint32_t n_trials,
+                       const struct mo_trial_list *lists)
+{
+  uint32_t most = 0, lost = 0;
+  for (uint32_t t = 1; t < n_trials; t++) {
+    lost += isnan(lists[t].regret);
+    if (!isnan(lists[t].regret) && (most == 0 || lists[t].regret > lists[most].regret))
+      most = t;
+  }
+  if (lost > 0 && !isnan(lists[0].top_score)) {
+    next_sentence(text);
+    mo_text_format(text, "At %u of %u levels, one of the best at the base diverges.",
+                   (unsigned)lost, (unsigned)(n_trials - 1));
+  }
+  if (most > 0 && !(lists[most].regret > 0)) {
+    next_sentence(text);
+    mo_text_add(text, lost > 0 ? "At the other levels, choosing the best at the base costs nothing."
+                               : "Choosing the best at the base costs nothing at any level.");
+  } else if (most > 0) {
+    next_sentence(text);
+    mo_text_format(text, "Choosing the best at the base costs at most %s, ",
+                   ROUNDED(lists[most].regret));
+    add_where(text, &trials[most]);
+    mo_text_add(text, ".");
+  }
+}
+
+static void add_means(struct mo_text *text, const struct mo_trial *trials, uint32_t n_trials,
+                      const struct mo_trial_list *lists)
+{
+  uint32_t worst = 0;
+  for (uint32_t t = 1; t < n_trials; t++)
+    if (lists[t].mean_score - lists[worst].mean_score > 0)
+      worst = t;
+  if (!(lists[worst].mean_score - lists[0].mean_score >= MO_VERDICT_CHANGE))
+    return;
+  next_sentence(text);
+  mo_text_add(text, "The mean score goes at worst from ");
+  add_range(text, lists[0].mean_score, lists[worst].mean_score);
+  mo_text_add(text, ", ");
+  add_where(text, &trials[worst]);
+  mo_text_add(text, ".");
+}
+
+void mo_certificate_list_verdict(const struct mo_trial *trials, uint32_t n_trials,
+                                 const struct mo_trial_list *lists, uint32_t n_designs,
+                                 char text[MO_VERDICT_MAX])
+{
+  struct mo_text words = begin(text);
+  if (n_designs > 1)
+    add_order(&words, trials, n_trials, lists, n_designs);
+  if (n_designs > 1)
+    add_regret(&words, trials, n_trials, lists);
+  add_means(&words, trials, n_trials, lists);
+  if (lists[0].n_diverged_designs > 0) {
+    next_sentence(&words);
+    mo_text_format(&words, "%u of %u designs diverge at the base and have no score.",
+                   (unsigned)lists[0].n_diverged_designs, (unsigned)n_designs);
+  }
+  if (words.size == 0)
+    mo_text_format(&words,
+                   n_trials > 1 ? "No level changes the mean score by %g or more."
+                                : "Only the base is scored.",
+                   MO_VERDICT_CHANGE);
+}
