@@ -325,6 +325,35 @@ static void read_designs(struct mo_json *json, void *value)
 }
 const struct mo_field_own mo_designs_field = {.read = read_designs};
 
+/* ---- the designs of another job ---- */
+
+void mo_read_population(struct mo_json *json, uint32_t most, enum mo_job_kind *kind, int64_t *id,
+                        uint32_t *best)
+{
+  unsigned depth = json->depth, jobs = 0;
+  struct mo_json_slice key;
+  int64_t number;
+  if (!mo_json_object(json))
+    return;
+  while (mo_json_member(json, &key)) {
+    const bool campaign = mo_json_is(key, "campaign");
+    if (campaign || mo_json_is(key, "evaluation")) {
+      jobs++;
+      *kind = campaign ? MO_JOB_CAMPAIGN : MO_JOB_EVALUATION;
+      mo_read_job_id(json, campaign ? "a campaign" : "an evaluation", id);
+    } else if (mo_json_is(key, "best")) {
+      if (mo_json_integer(json, 1, most, &number))
+        *best = (uint32_t)number;
+    } else {
+      mo_fields_unknown(json, "evaluation or campaign, best", NULL);
+    }
+  }
+  if (!json->stop && jobs != 1)
+    mo_json_fault_at(
+        json, depth, "",
+        "must have exactly one of evaluation (its designs) and campaign (its newest population)");
+}
+
 /* ---- the rules ---- */
 
 static const char *const on_fault_words[] = {"refuse", "skip", NULL}; /* enum mo_on_fault */

@@ -42,11 +42,10 @@ extern const struct mo_fields mo_parts_fields, mo_weight_fields;
 /* Fields of struct mo_parts: 1 to MO_DESIGNS_MAX designs; a word of mo_set_words or 1 to
  * MO_ENVIRONMENTS_MAX environments, or only their tasks, of which a request has one. */
 extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_tasks_field,
-    mo_controller_field;
+    mo_controller_field, mo_label_field;
 /* on_fault and repair, together and separately. Read them ahead of the designs. */
 extern const struct mo_fields mo_design_rules_fields, mo_on_fault_fields, mo_repair_fields;
-/* A label of struct mo_parts; a controller's name: MO_NAME_BYTES_MAX + 1 bytes. */
-extern const struct mo_field_own mo_label_field, mo_name_field;
+extern const struct mo_field_own mo_name_field; /* a controller's: MO_NAME_BYTES_MAX + 1 bytes */
 
 /* Reads the design at `place` of a request by its rules: adds it to the genotypes, as given and not
  * placed, unless it was skipped. Returns false if memory runs out. */
@@ -80,8 +79,9 @@ void mo_read_ahead(const struct mo_json *json, const struct mo_fields *fields, v
                    bool *given);
 /* Reads a job's id from a string. what: "an evaluation". */
 bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id);
-/* The channels of a recording: an array of words, each once. */
-extern const struct mo_field_own mo_channels_field;
+void mo_read_population(struct mo_json *json, uint32_t most, enum mo_job_kind *kind, int64_t *id,
+                        uint32_t *best);            /* designs of another job; best: 1 … most */
+extern const struct mo_field_own mo_channels_field; /* of a recording: words, each once */
 
 /* ---- bodies ---- */
 

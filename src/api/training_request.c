@@ -9,35 +9,13 @@
 #include "store/fields.h"
 #include "world/factors.h"
 
-/* ---- the designs of another job ---- */
-
 static void read_population(struct mo_json *json, void *value)
 {
   struct mo_parsed_training *parsed = value;
   struct mo_training_request *request = &parsed->request;
-  unsigned depth = json->depth, jobs = 0;
-  struct mo_json_slice key;
-  int64_t best;
   parsed->has_population = true;
-  if (!mo_json_object(json))
-    return;
-  while (mo_json_member(json, &key)) {
-    bool campaign = mo_json_is(key, "campaign");
-    if (campaign || mo_json_is(key, "evaluation")) {
-      jobs++;
-      parsed->population_kind = campaign ? MO_JOB_CAMPAIGN : MO_JOB_EVALUATION;
-      mo_read_job_id(json, campaign ? "a campaign" : "an evaluation", &request->record.population);
-    } else if (mo_json_is(key, "best")) {
-      if (mo_json_integer(json, 1, MO_TRAINING_DESIGNS_MAX, &best))
-        request->population_best = (uint32_t)best;
-    } else {
-      mo_fields_unknown(json, "evaluation or campaign, best", NULL);
-    }
-  }
-  if (!json->stop && jobs != 1)
-    mo_json_fault_at(
-        json, depth, "",
-        "must have exactly one of evaluation (its designs) and campaign (its newest population)");
+  mo_read_population(json, MO_TRAINING_DESIGNS_MAX, &parsed->population_kind,
+                     &request->record.population, &request->population_best);
 }
 
 /* ---- the whole body ---- */

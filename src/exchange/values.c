@@ -125,7 +125,7 @@ void mo_member_measures(struct mo_text *text, const char *name, uint32_t set)
   mo_text_add(text, "]");
 }
 
-static void write_flags(struct mo_text *text, unsigned flags)
+void mo_member_flags(struct mo_text *text, unsigned flags)
 {
   static const char *const words[] = {"overstrained", "inverted"};
   mo_text_open(text, "flags", "[");
@@ -146,7 +146,7 @@ static void write_measures(struct mo_text *text, uint32_t set, const double *val
     if (set >> m & 1)
       mo_text_member_number(text, mo_measure_info[m].name, *values++);
   mo_text_add(text, "}");
-  write_flags(text, flags);
+  mo_member_flags(text, flags);
 }
 
 static void write_means(struct mo_text *text, const struct mo_measured *measured, size_t n)
@@ -162,7 +162,7 @@ static void write_means(struct mo_text *text, const struct mo_measured *measured
   for (size_t i = 0; i < each; i++)
     means[i] /= (double)n;
   if (measured->has_means)
-    write_flags(text, flags);
+    mo_member_flags(text, flags);
   else
     write_measures(text, measured->set, means, flags);
 }
