@@ -17,7 +17,8 @@ static const struct mo_resource *const kinds[MO_JOB_KINDS] = {
     [MO_JOB_EVALUATION] = &mo_evaluation_resource,
     [MO_JOB_TRAINING] = &mo_training_resource,
     [MO_JOB_CAMPAIGN] = &mo_campaign_resource,
-    [MO_JOB_ATLAS] = &mo_atlas_resource};
+    [MO_JOB_ATLAS] = &mo_atlas_resource,
+    [MO_JOB_CERTIFICATE] = &mo_certificate_resource};
 
 const struct mo_resource *mo_resource_of(const struct mo_request *request)
 {

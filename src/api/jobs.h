@@ -7,6 +7,7 @@
 #include "store/atlases.h"
 #include "store/campaign_designs.h"
 #include "store/campaigns.h"
+#include "store/certificates.h"
 #include "store/trainings.h"
 
 /* The row of a job in the store, of any kind. */
@@ -15,6 +16,7 @@ union mo_job_status {
   struct mo_training_status training;
   struct mo_campaign_status campaign;
   struct mo_atlas_status atlas;
+  struct mo_certificate_status certificate;
 };
 
 /* A kind of job. */
@@ -35,7 +37,7 @@ struct mo_resource {
                      not running */
 };
 extern const struct mo_resource mo_evaluation_resource, mo_training_resource, mo_campaign_resource,
-    mo_atlas_resource;
+    mo_atlas_resource, mo_certificate_resource;
 
 /* ---- job_reply.c ---- */
 

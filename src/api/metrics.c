@@ -152,7 +152,7 @@ static void write_running(struct mo_api *api, struct mo_text *text)
       [DONE] = {"morphod_job_parts_done", "Parts of a running job that are done: rollouts of an "
                                           "evaluation, steps of a training, generations of a "
                                           "campaign, the first population included, bodies of "
-                                          "an atlas."},
+                                          "an atlas, rollouts of a certificate."},
       [PARTS] = {"morphod_job_parts", "All parts of a running job."},
       [RATE] =
           {"morphod_job_rollouts_per_second",
@@ -168,7 +168,7 @@ static void write_running(struct mo_api *api, struct mo_text *text)
     for (size_t i = 0; i < n; i++) {
       const struct mo_live *live = &jobs[i].live;
       const bool evolves = jobs[i].kind == MO_JOB_CAMPAIGN;
-      const bool counts = jobs[i].kind == MO_JOB_EVALUATION || jobs[i].kind == MO_JOB_ATLAS;
+      const bool counts = jobs[i].kind != MO_JOB_TRAINING && !evolves;
       const double done = counts ? (double)live->done : live->position;
       const double parts = counts ? (double)live->total : (double)live->last + evolves;
       const double begun = evolves && live->phase == MO_PHASE_SCORE && live->total > 0
@@ -218,6 +218,14 @@ static void write_atlases(struct mo_text *text, const struct mo_jobs_stats *j)
           "Bodies added to files of atlases since the start.");
   COUNTER("morphod_atlas_rollouts_total", j->atlas_rollouts,
           "Rollouts computed for atlases since the start.");
+}
+
+static void write_certificates(struct mo_text *text, const struct mo_jobs_stats *j)
+{
+  GAUGE("morphod_certificates_running", j->active_certificates,
+        "Certificates that are being computed.");
+  COUNTER("morphod_certificate_rollouts_total", j->certificate_rollouts,
+          "Rollouts computed for certificates since the start.");
 }
 
 static void write_campaigns(struct mo_text *text, const struct mo_jobs_stats *j)
@@ -286,5 +294,6 @@ void mo_api_metrics_write(struct mo_api *api, struct mo_text *text)
   write_trainings(text, &jobs);
   write_campaigns(text, &jobs);
   write_atlases(text, &jobs);
+  write_certificates(text, &jobs);
   write_store(api, text);
 }

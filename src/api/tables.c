@@ -456,7 +456,9 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   "id kind " JOB " controller.name environments n_designs:n rollouts_total:n rollouts_done:n"      \
   " training.kind training.name training.step:n training.steps:n training.score:n campaign.mode"   \
   " campaign.population:n campaign.generation:n campaign.generations:n campaign.seed:n"            \
-  " campaign.best_score:n atlas.name atlas.voxels:n atlas.bodies_done:n atlas.bodies_total:n"
+  " campaign.best_score:n atlas.name atlas.voxels:n atlas.bodies_done:n atlas.bodies_total:n"      \
+  " certificate.designs:n certificate.trials_done:n certificate.trials:n"                          \
+  " certificate.rollouts_done:n certificate.rollouts:n"
 #define EVALUATIONS                                                                                \
   "id " JOB " controller.name controller.sha256 environments precision n_designs:n"                \
   " rollouts_total:n rollouts_done:n rollouts_cached:n rollouts_diverged:n record"                 \
@@ -503,6 +505,11 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
 #define CHAMPIONS BORN " distinctiveness:n"
 #define CONTROLLERS                                                                                \
   "name sha256 bytes:n parameters:n sensor control_period_s:n workspace metadata stored_at"
+#define CERTIFICATES                                                                               \
+  "id " JOB " certificate.controller.name certificate.controller.sha256 certificate.environments"  \
+  " certificate.designs:n certificate.seed:n certificate.axes certificate.top:n"                   \
+  " certificate.trials_done:n certificate.trials:n certificate.rollouts_done:n"                    \
+  " certificate.rollouts:n"
 #define USAGE                "name jobs:n core_seconds:n device_seconds:n"
 #define WORLDS               "sha256 light_xy_m.0:n light_xy_m.1:n terrain_heights_m terrain task"
 #define CHECKPOINTS          "step:n sha256 size:n stored_at"

@@ -15,7 +15,8 @@
 const struct mo_kind *const mo_kinds[MO_JOB_KINDS] = {[MO_JOB_EVALUATION] = &mo_evaluation_kind,
                                                       [MO_JOB_TRAINING] = &mo_training_kind,
                                                       [MO_JOB_CAMPAIGN] = &mo_campaign_kind,
-                                                      [MO_JOB_ATLAS] = &mo_atlas_kind};
+                                                      [MO_JOB_ATLAS] = &mo_atlas_kind,
+                                                      [MO_JOB_CERTIFICATE] = &mo_certificate_kind};
 
 /* ---- the configuration ---- */
 
@@ -193,7 +194,8 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
   const uint32_t n_threads[MO_JOB_KINDS] = {[MO_JOB_EVALUATION] = 1,
                                             [MO_JOB_TRAINING] = jobs->config.max_active_trainings,
                                             [MO_JOB_CAMPAIGN] = jobs->config.max_active_campaigns,
-                                            [MO_JOB_ATLAS] = 1};
+                                            [MO_JOB_ATLAS] = 1,
+                                            [MO_JOB_CERTIFICATE] = 1};
   atomic_store(&jobs->heartbeat_us, mo_clock_us());
   mo_store_meter(store, mo_share_used, jobs);
   int error = prepare(jobs, config->crash_marker);
@@ -314,6 +316,7 @@ void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
           .active_trainings = atomic_load(&jobs->runners[MO_JOB_TRAINING].active),
       .active_campaigns = atomic_load(&jobs->runners[MO_JOB_CAMPAIGN].active),
       .active_atlases = atomic_load(&jobs->runners[MO_JOB_ATLAS].active),
+      .active_certificates = atomic_load(&jobs->runners[MO_JOB_CERTIFICATE].active),
       .training_step_s = (double)atomic_load(&jobs->training_ns) * 1e-9,
       .heartbeat_us = atomic_load(&jobs->heartbeat_us),
       .no_space = atomic_load(&jobs->no_space),

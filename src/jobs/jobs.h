@@ -1,5 +1,5 @@
-/* jobs.h: accepts jobs of all kinds (evaluations.h, trainings.h, campaigns.h, atlases.h), runs them
- * on a compute back end, and keeps their results in the store.
+/* jobs.h: accepts jobs of all kinds (evaluations.h, trainings.h, campaigns.h, atlases.h,
+ * certificates.h), runs them on a compute back end, and keeps their results in the store.
  *
  * Interactive jobs go first. Batch jobs share the back end by weight: each running job has its own
  * share of worker time.
@@ -107,13 +107,15 @@ const struct mo_lattice *mo_jobs_lattice(const struct mo_jobs *jobs);
   X(jobs_submitted) X(jobs_succeeded) X(jobs_failed) X(jobs_cancelled) X(campaign_generations)     \
   X(campaign_designs) X(campaign_rollouts) X(campaign_cached) X(campaign_diverged)                 \
   X(campaign_steps) X(training_steps) X(training_robots) X(training_diverged) X(training_zeroed)   \
-  X(training_validations) X(training_checkpoints) X(atlas_bodies) X(atlas_rollouts)
+  X(training_validations) X(training_checkpoints) X(atlas_bodies) X(atlas_rollouts)                \
+  X(certificate_rollouts)
 /* clang-format on */
 struct mo_jobs_stats {
 #define MO_JOBS_COUNT(name) uint64_t name;
   MO_JOBS_COUNTS(MO_JOBS_COUNT)
 #undef MO_JOBS_COUNT
-  uint64_t active_trainings, active_campaigns, active_atlases; /* running or being prepared */
+  /* Running or being prepared. */
+  uint64_t active_trainings, active_campaigns, active_atlases, active_certificates;
   double training_step_s;        /* total wall time of training_steps */
   double worker_s[MO_JOB_KINDS]; /* worker seconds since the start, by kind of job */
   double device_s[MO_JOB_KINDS]; /* device seconds since the start, by kind of job */
@@ -123,8 +125,8 @@ struct mo_jobs_stats {
 };
 /* Fills *stats without waiting for computation or the store. */
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats);
-/* Returns the number of trainings, campaigns and atlases that are waiting for disk space or memory,
- * and their ids for mo_job_query, which shows them as paused while they run. */
+/* Returns the number of trainings, campaigns, atlases and certificates that are waiting for disk
+ * space or memory, and their ids for mo_job_query, which shows them as paused while they run. */
 size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX]);
 
 /* ---- crashes ---- */

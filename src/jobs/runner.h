@@ -33,7 +33,8 @@ struct mo_kind {
   int (*save)(void *run);      /* saves computed results of a run that has stopped */
   void (*clean_up)(void *run); /* frees everything that `run` points to */
 };
-extern const struct mo_kind mo_evaluation_kind, mo_training_kind, mo_campaign_kind, mo_atlas_kind;
+extern const struct mo_kind mo_evaluation_kind, mo_training_kind, mo_campaign_kind, mo_atlas_kind,
+    mo_certificate_kind;
 extern const struct mo_kind *const mo_kinds[MO_JOB_KINDS];
 
 /* A request to a running job; the larger value wins. */

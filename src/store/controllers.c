@@ -299,6 +299,7 @@ static int find_user(struct mo_connection *reader, int64_t id, char words[128])
       " SELECT iif(j.kind=1,'training ','campaign ')||j.id FROM runs r JOIN jobs j ON j.id=r.job"
       " WHERE ?1 IN (r.controller,r.result) UNION ALL"
       " SELECT 'atlas job '||job FROM atlases WHERE controller=?1 UNION ALL"
+      " SELECT 'certificate '||job FROM certificates WHERE controller=?1 UNION ALL"
       " SELECT 'a stored mean score' FROM rankings WHERE controller=?1 UNION ALL"
       " SELECT 'a stored score' FROM conditions WHERE controller=?1 LIMIT 1";
   sqlite3_stmt *row;
@@ -361,7 +362,7 @@ int mo_controllers_clean(struct mo_store *store,
   static const char sql[] =
       "SELECT id,sha256,size FROM controllers WHERE id NOT IN ("
       "SELECT controller FROM controller_names UNION SELECT controller FROM evaluations"
-      " UNION SELECT controller FROM atlases"
+      " UNION SELECT controller FROM atlases UNION SELECT controller FROM certificates"
       " UNION SELECT controller FROM runs WHERE controller IS NOT NULL"
       " UNION SELECT result FROM runs WHERE result IS NOT NULL"
       " UNION SELECT controller FROM rankings UNION SELECT controller FROM conditions) ORDER BY id";

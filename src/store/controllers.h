@@ -6,6 +6,19 @@
 
 struct mo_store;
 
+struct mo_controller_record {
+  char name[MO_NAME_BYTES_MAX + 1]; /* "" when looked up by hash */
+  int64_t version;                  /* version of the name: grows when the name gets other
+                                     * content */
+  struct mo_sha256 sha256;          /* of the file's bytes */
+  uint64_t size;                    /* bytes */
+  enum mo_sensor sensor;
+  struct mo_workspace workspace;
+  uint64_t n_parameters;
+  double control_period_s; /* 0: in every step */
+  int64_t stored_us; /* when this name got this content (by hash: when the content was stored) */
+};
+
 int64_t mo_store_controllers(struct mo_store *store, const char *after_name,
                              struct mo_controller_record *records,
                              size_t limit); /* in order of names; after_name NULL: from the first */

@@ -32,6 +32,8 @@
   "SELECT words FROM ("                                                                            \
   "SELECT job,'training '||job||' learns on its designs' words FROM trainings"                     \
   " WHERE population=" id " AND population<>0 UNION ALL"                                           \
+  " SELECT job,'certificate '||job||' is about its designs' FROM certificates"                     \
+  " WHERE population=" id " AND population<>0 UNION ALL"                                           \
   " SELECT job,'campaign '||job||' was bred from its population' FROM campaigns"                   \
   " WHERE initial_campaign=" id " AND initial_campaign<>0 UNION ALL"                               \
   " SELECT job,'campaign '||job||', a replicate, shares its environments' FROM campaigns"          \
@@ -115,6 +117,7 @@ static const char *const parts[] = {PART("recomputed", "position", "16"),
                                     PART("training_validations", "step", "1000"),
                                     PART("training_code", "from_step", "1000"),
                                     PART("campaign_losses", "place", "1000"),
+                                    PART("certificate_losses", "trial", "1"),
                                     PART("campaign_steps", "generation", "16"),
                                     PART("campaign_generations", "generation", "1000"),
                                     PART("campaign_populations", "generation", "64"),
@@ -123,6 +126,7 @@ static const char *const parts[] = {PART("recomputed", "position", "16"),
                                     "DELETE FROM evaluations WHERE job=?1",
                                     "DELETE FROM trainings WHERE job=?1",
                                     "DELETE FROM atlases WHERE job=?1",
+                                    "DELETE FROM certificates WHERE job=?1",
                                     "DELETE FROM study_words WHERE job=?1",
                                     "DELETE FROM studies WHERE job=?1",
                                     "DELETE FROM campaigns WHERE job=?1",

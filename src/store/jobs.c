@@ -9,6 +9,7 @@
 #include "base/words.h"
 #include "store/atlases.h"
 #include "store/campaigns.h"
+#include "store/certificates.h"
 #include "store/contents.h"
 #include "store/fields.h"
 #include "store/internal.h"
@@ -17,7 +18,8 @@
 
 const char *const mo_job_state_words[] = {"queued", "running",   "paused", "succeeded",
                                           "failed", "cancelled", NULL};
-const char *const mo_job_kind_words[] = {"evaluation", "training", "campaign", "atlas", NULL};
+const char *const mo_job_kind_words[] = {"evaluation", "training",    "campaign",
+                                         "atlas",      "certificate", NULL};
 
 const char *mo_job_state_name(enum mo_job_state state)
 {
@@ -145,14 +147,44 @@ static int read_atlas(sqlite3_stmt *row, struct mo_job *job, void *any)
   return mo_column_physics(row, MO_COLUMN_PHYSICS, &job->physics, &job->precision, &job->sensor);
 }
 
+static int read_certificate(sqlite3_stmt *row, struct mo_job *job, void *any)
+{
+  struct mo_certificate_record *record = any;
+  const char *json = (const char *)sqlite3_column_text(row, MO_COLUMN_SETTINGS);
+  struct mo_message message;
+  if (json == NULL)
+    return mo_column_missing(row);
+  record->settings = mo_certificate_defaults();
+  int error =
+      mo_fields_parse(json, strlen(json), &mo_certificate_fields, &record->settings, &message);
+  if (error == MO_OK)
+    error = mo_certificate_check(&record->settings, &message);
+  if (error != MO_OK)
+    return error == MO_ERR_NO_MEMORY ? error : MO_ERR_CORRUPT;
+  read_environments(row, job);
+  job->n_designs = mo_column_u32(row, MO_COLUMN_N_DESIGNS);
+  record->population = sqlite3_column_int64(row, MO_COLUMN_POPULATION);
+  record->taken = mo_column_u32(row, MO_COLUMN_TAKEN);
+  record->n_trials = mo_column_u32(row, MO_COLUMN_N_TRIALS);
+  record->trials_done = mo_column_u32(row, MO_COLUMN_TRIALS_DONE);
+  record->n_rollouts = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_N_ROLLOUTS);
+  record->rollouts_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_ROLLOUTS_DONE);
+  if (job->n_designs < 1 || job->n_designs > MO_CERTIFICATE_DESIGNS_MAX ||
+      record->trials_done > record->n_trials || record->rollouts_done > record->n_rollouts ||
+      record->n_rollouts > MO_CERTIFICATE_ROLLOUTS_MAX)
+    return MO_ERR_CORRUPT;
+  return mo_column_physics(row, MO_COLUMN_PHYSICS, &job->physics, &job->precision, &job->sensor);
+}
+
 int mo_job_read(sqlite3_stmt *row, struct mo_job *job, void *record)
 {
   static int (*const read[MO_JOB_KINDS])(sqlite3_stmt * row, struct mo_job * job, void *record) = {
-      read_evaluation, read_training, read_campaign, read_atlas};
+      read_evaluation, read_training, read_campaign, read_atlas, read_certificate};
   union {
     struct mo_training_record training;
     struct mo_campaign_record campaign;
     struct mo_atlas_record atlas;
+    struct mo_certificate_record certificate;
   } unused;
   const int64_t kind = sqlite3_column_int64(row, MO_COLUMN_KIND),
                 state = sqlite3_column_int64(row, MO_COLUMN_STATE),
@@ -198,12 +230,15 @@ int mo_job_row(struct mo_connection *connection, int64_t id, int kind, sqlite3_s
                                         " LEFT JOIN trainings t ON t.job=j.id"
                                         " LEFT JOIN campaigns m ON m.job=j.id"
                                         " LEFT JOIN atlases a ON a.job=j.id"
-                                        " LEFT JOIN controllers c ON"
-                                        " c.id=coalesce(e.controller,r.controller,a.controller)"
+                                        " LEFT JOIN certificates k ON k.job=j.id"
+                                        " LEFT JOIN controllers c ON c.id=coalesce("
+                                        "e.controller,r.controller,a.controller,k.controller)"
                                         " LEFT JOIN controllers x ON x.id=r.result"
-                                        " LEFT JOIN physics p ON p.id=coalesce(e.physics,a.physics)"
+                                        " LEFT JOIN physics p ON p.id=coalesce("
+                                        "e.physics,a.physics,k.physics)"
                                         " LEFT JOIN environment_sets s ON s.id=coalesce("
-                                        "e.environment_set,m.environment_set,a.environment_set)"
+                                        "e.environment_set,m.environment_set,a.environment_set,"
+                                        "k.environment_set)"
                                         " WHERE j.id=?1 AND j.state<>6 AND (?2<0 OR j.kind=?2)";
 #undef COLUMN
   return mo_sql_row(connection, row, sql, mo_int(id), mo_int(kind));

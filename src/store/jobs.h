@@ -5,8 +5,8 @@
 #include "store/sql.h"
 #include "store/store.h"
 
-/* Columns of j jobs, e evaluations, r runs, t trainings, m campaigns, a atlases, c the controller,
- * x the result, p physics, s the named set. */
+/* Columns of j jobs, e evaluations, r runs, t trainings, m campaigns, a atlases, k certificates, c
+ * the controller, x the result, p physics, s the named set. */
 #define MO_JOB_COLUMNS(X)                                                                          \
   X(ID, "j.id")                                                                                    \
   X(VERSION, "j.version")                                                                          \
@@ -29,10 +29,12 @@
   X(ERROR, "j.error")                                                                              \
   X(ERROR_TEXT, "j.error_text")                                                                    \
   X(CONTROLLER, "c.sha256")                                                                        \
-  X(CONTROLLER_NAME, "coalesce(e.controller_name,r.controller_name,a.controller_name)")            \
+  X(CONTROLLER_NAME,                                                                               \
+    "coalesce(e.controller_name,r.controller_name,a.controller_name,k.controller_name)")           \
   X(ENVIRONMENT_SET, "coalesce(e.suite,s.name)")                                                   \
-  X(N_ENVIRONMENTS, "coalesce(e.n_environments,m.n_environments,a.n_environments)")                \
-  X(N_DESIGNS, "coalesce(e.n_designs,t.n_designs)")                                                \
+  X(N_ENVIRONMENTS,                                                                                \
+    "coalesce(e.n_environments,m.n_environments,a.n_environments,k.n_environments)")               \
+  X(N_DESIGNS, "coalesce(e.n_designs,t.n_designs,k.n_designs)")                                    \
   X(N_SKIPPED, "e.n_skipped")                                                                      \
   X(BEST, "e.best")                                                                                \
   X(N_DISPLACED, "e.n_displaced")                                                                  \
@@ -51,11 +53,11 @@
   X(CACHED, "e.cached")                                                                            \
   X(DIVERGED, "e.diverged")                                                                        \
   X(CUT, "e.cut")                                                                                  \
-  X(SETTINGS, "r.settings")                                                                        \
+  X(SETTINGS, "coalesce(r.settings,k.settings)")                                                   \
   X(NAME, "coalesce(r.name,a.name)")                                                               \
   X(RESULT, "x.sha256")                                                                            \
   X(STEP, "t.step")                                                                                \
-  X(POPULATION, "t.population")                                                                    \
+  X(POPULATION, "coalesce(t.population,k.population)")                                             \
   X(GENERATIONS, "m.generations")                                                                  \
   X(GENERATION, "m.generation")                                                                    \
   X(PRESET, "m.preset")                                                                            \
@@ -73,15 +75,20 @@
   X(ORIENTATIONS, "a.orientations")                                                                \
   X(BODIES_TOTAL, "a.bodies_total")                                                                \
   X(BODIES_DONE, "a.bodies_done")                                                                  \
-  X(ROLLOUTS_DONE, "a.rollouts_done")
+  X(ROLLOUTS_DONE, "coalesce(a.rollouts_done,k.rollouts_done)")                                    \
+  X(TAKEN, "k.taken")                                                                              \
+  X(N_TRIALS, "k.n_trials")                                                                        \
+  X(N_ROLLOUTS, "k.n_rollouts")                                                                    \
+  X(TRIALS_DONE, "k.trials_done")
 #define MO_COLUMN(name, sql) MO_COLUMN_##name,
 enum mo_job_column { MO_COLUMN_ZERO = 0, MO_JOB_COLUMNS(MO_COLUMN) };
 #undef MO_COLUMN
 
 /* Steps to the row of a job. kind −1: any kind. MO_ERR_NOT_FOUND. */
 int mo_job_row(struct mo_connection *connection, int64_t id, int kind, sqlite3_stmt **row);
-/* Reads a job and, into `record` (nullable), the struct mo_training_record, mo_campaign_record or
- * mo_atlas_record of its kind. MO_ERR_CORRUPT: the row cannot be decoded. */
+/* Reads a job and, into `record` (nullable), the struct mo_training_record, mo_campaign_record,
+ * mo_atlas_record or mo_certificate_record of its kind. MO_ERR_CORRUPT: the row cannot be decoded.
+ */
 int mo_job_read(sqlite3_stmt *row, struct mo_job *job, void *record);
 
 /* Reads settings from a column into the record of their kind. MO_ERR_CORRUPT. */

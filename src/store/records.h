@@ -1,4 +1,4 @@
-/* records.h: records that the store returns: jobs and controllers.
+/* records.h: records of jobs that the store returns, and what other records share with them.
  *
  * Times are microseconds since 1970-01-01 UTC; 0 means "not yet". Strings are UTF-8 and always
  * terminated. Lists of genotypes (struct mo_bits) are of the store's workspace. */
@@ -39,8 +39,14 @@
 #define MO_WEIGHT_MIN            1e-3 /* of a job */
 #define MO_WEIGHT_MAX            1e3
 
-enum mo_job_kind { MO_JOB_EVALUATION = 0, MO_JOB_TRAINING, MO_JOB_CAMPAIGN, MO_JOB_ATLAS };
-#define MO_JOB_KINDS 4
+enum mo_job_kind {
+  MO_JOB_EVALUATION = 0,
+  MO_JOB_TRAINING,
+  MO_JOB_CAMPAIGN,
+  MO_JOB_ATLAS,
+  MO_JOB_CERTIFICATE
+};
+#define MO_JOB_KINDS 5
 enum mo_job_state {
   MO_JOB_QUEUED = 0,
   MO_JOB_RUNNING = 1,
@@ -51,7 +57,7 @@ enum mo_job_state {
 };
 #define MO_JOB_STATES 6 /* in the database, 6 is a job that is being deleted */
 const char *mo_job_state_name(enum mo_job_state state); /* "queued" … "cancelled" */
-const char *mo_job_kind_name(enum mo_job_kind kind);    /* "evaluation", "training" … "atlas" */
+const char *mo_job_kind_name(enum mo_job_kind kind);    /* "evaluation", "training" … */
 extern const char *const mo_job_state_words[], *const mo_job_kind_words[]; /* base/words.h */
 static inline bool mo_job_state_is_final(enum mo_job_state state)
 {
@@ -132,19 +138,6 @@ struct mo_job {
   /* Trainings and campaigns have them only if they were read with them. */
   struct mo_warning warnings[MO_WARNINGS_MAX];
   uint32_t n_warnings;
-};
-
-struct mo_controller_record {
-  char name[MO_NAME_BYTES_MAX + 1]; /* "" when looked up by hash */
-  int64_t version;                  /* version of the name: grows when the name gets other
-                                     * content */
-  struct mo_sha256 sha256;          /* of the file's bytes */
-  uint64_t size;                    /* bytes */
-  enum mo_sensor sensor;
-  struct mo_workspace workspace;
-  uint64_t n_parameters;
-  double control_period_s; /* 0: in every step */
-  int64_t stored_us; /* when this name got this content (by hash: when the content was stored) */
 };
 
 #endif

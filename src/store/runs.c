@@ -7,6 +7,7 @@
 #include "base/clock.h"
 #include "store/atlases.h"
 #include "store/campaigns.h"
+#include "store/certificates.h"
 #include "store/controller_rows.h"
 #include "store/fields.h"
 #include "store/jobs.h"
@@ -120,6 +121,7 @@ int mo_run_announce_warnings(struct mo_store *store, int64_t id, bool is_new)
     struct mo_training_record training;
     struct mo_campaign_record campaign;
     struct mo_atlas_record atlas;
+    struct mo_certificate_record certificate;
   } record;
   struct mo_job job;
   sqlite3_stmt *row;

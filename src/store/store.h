@@ -127,7 +127,7 @@ struct mo_job_query {
   size_t n_waiting;
   int64_t group; /* only campaigns of this group of replicates; 0: any job */
 };
-#define MO_WAITING_MAX 81 /* all trainings, campaigns and atlases that can run at once */
+#define MO_WAITING_MAX 82 /* all jobs but evaluations that can run at once */
 /* Reads a page, newest first; returns its size (limit ≤ MO_PAGE_MAX). Next: before = last id. */
 int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query,
                       void *jobs /* struct mo_job */, size_t limit);

@@ -240,7 +240,8 @@ int mo_job_warn(struct mo_connection *connection, struct mo_job *job, const void
     warn_of_rollouts(job);
     warn_of_physics(job);
     return warn_of_worlds(connection, job, job->id);
-  case MO_JOB_ATLAS: warn_of_physics(job); return warn_of_worlds(connection, job, job->id);
+  case MO_JOB_ATLAS:
+  case MO_JOB_CERTIFICATE: warn_of_physics(job); return warn_of_worlds(connection, job, job->id);
   case MO_JOB_TRAINING: {
     const struct mo_training_record *training = record;
     const int error = warn_of_step(connection, job, record);

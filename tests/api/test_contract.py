@@ -84,8 +84,8 @@ def test_every_event_has_a_type():
     written = set()
     for source in (SOURCE / "src").glob("*/*.c"):
         written |= set(re.findall(
-            r'"((?:job|controller|evaluation|training|campaign|atlas|fleet|scores)\.[a-z_]+)"',
-            source.read_text(encoding="utf-8")))
+            r'"((?:job|controller|evaluation|training|campaign|atlas|certificate|fleet|scores)'
+            r'\.[a-z_]+)"', source.read_text(encoding="utf-8")))
     written -= {"job.", "campaign.json", "scores.json"}  # files of bundles and of scores
     assert written == set(SCHEMAS["Event"]["discriminator"]["mapping"])
 

@@ -84,6 +84,11 @@ def walk(service):
                  f"{of}/checkpoints"):
         call("GET", path)
     await_end(service, "/v1/jobs/" + call("POST", "/v1/atlases", "AtlasRequest")["id"])
+    certificate = call("POST", "/v1/certificates", "CertificateRequest")["id"]
+    of_certificate = f"/v1/certificates/{certificate}"
+    await_end(service, of_certificate)
+    for path in (of_certificate, f"{of_certificate}/report", "/v1/certificates?limit=1"):
+        call("GET", path)
     bundle = service.request("GET", f"/v1/bundles?campaigns={campaign}").body
     call("POST", "/v1/bundles", body=bundle)
     second = service.post("/v1/campaigns", EXAMPLES["CampaignRequest"] | {"seed": 99})["id"]

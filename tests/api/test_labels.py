@@ -140,7 +140,7 @@ def test_usage(service):
     again = {row["name"]: row for row in service.get("/v1/usage")["items"]}
     assert again[label] == pytest.approx(rows[label])
     assert {row["name"] for row in service.get("/v1/usage?by=kind")["items"]} <= {
-        "evaluation", "training", "campaign", "atlas"}
+        "evaluation", "training", "campaign", "atlas", "certificate"}
     lines = service.table("/v1/usage?by=kind&format=csv")
     assert sum(int(line["jobs"]) for line in lines) >= 2
     service.refuses("/v1/usage", "?by=state", "?cursor=1")

@@ -19,7 +19,7 @@ SUBMIT = {("POST", path) for path in (
     "/v1/campaigns/{id}/champions", "/v1/jobs/{id}/cancel", "/v1/jobs/{id}/pause",
     "/v1/jobs/{id}/resume", "/v1/jobs/{id}/weight",
     "/v1/campaigns/{id}/tell", "/v1/campaigns/{id}/finish",
-    "/v1/atlases")} | {("PATCH", "/v1/jobs/{id}")}
+    "/v1/atlases", "/v1/certificates")} | {("PATCH", "/v1/jobs/{id}")}
 ADMIN = {("POST", "/v1/bundles"), ("POST", "/v1/scores"), ("PUT", "/v1/controllers/{name}/file"),
          ("DELETE", "/v1/controllers/{name}"), ("PUT", "/v1/atlases/{name}/file"),
          ("DELETE", "/v1/atlases/{name}"),

@@ -5,6 +5,7 @@
 #include <jansson.h>
 
 #include "api/atlas_request.h"
+#include "api/certificate_request.h"
 #include "api/openapi.h"
 #include "api/replicates.h"
 #include "api/requests.h"
@@ -178,6 +179,7 @@ static void requests(void)
   check_object("CampaignLearningRequest", &mo_campaign_record_learning_fields, 0, true);
   check_object("WeightRequest", &mo_weight_fields, 0, true);
   check_object("AtlasRequest", &mo_atlas_request_fields, 0, true);
+  check_object("CertificateRequest", &mo_certificate_request_fields, 0, true);
   check_object("TellRequest", &mo_tell_fields, 0, true);
   check_object("AskRequest", &mo_ask_fields, 0, true);
   check_object("RolloutsRequest", &mo_rollouts_request_fields, 0, true);
@@ -194,6 +196,7 @@ static void replies(void)
   check_object("TrainingSettings", &mo_training_record_fields, 4, false);
   check_object("CampaignSettings", &mo_campaign_record_fields, 3, false);
   check_object("CampaignLearning", &mo_campaign_record_learning_fields, 0, false);
+  check_object("CertificateSettings", &mo_certificate_fields, 11, false);
 }
 
 /* Counts the properties of an object that are not objects themselves, including nested ones. */
