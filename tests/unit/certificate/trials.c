@@ -174,6 +174,12 @@ static void worlds(void)
     low_friction += f->friction < 1.0 / 3 + 0.5;
   }
   CHECK_INT(low_friction, 32); /* half of a Latin hypercube, exactly */
+  /* The draws of stored certificates, and not those of a training or request with this seed. */
+  struct mo_factors expected[64], others[64];
+  REQUIRE_OK(mo_factors_draw(&settings.ranges, 1, UINT32_MAX - 1, 64, expected));
+  REQUIRE_OK(mo_factors_draw(&settings.ranges, 1, 0, 64, others));
+  CHECK(is_same_factors(factors_at(&drawn[5]), &expected[5]));
+  CHECK(!is_same_factors(factors_at(&drawn[5]), &others[5]));
   const struct mo_environment *again = environments_of(&settings, &base, trial);
   CHECK(are_same(drawn, again, trial->n_environments));
   settings.seed = 2;
