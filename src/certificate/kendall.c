@@ -7,8 +7,8 @@
  * The interval, which include/morpho/certificate.h defines: a proportion of m independent pairs
  * that agree has Wilson's interval, which in terms of tau is
  *   (tau ± z · sqrt((1 − tau²) / m + z² / m²)) / (1 + z² / m).
- * In simulations of normal scores, it has at least 94 % coverage for four designs or more and any
- * tau; tests/unit/certificate/kendall.c repeats this. */
+ * In simulations of normal scores, it covers tau in 94 to 100 % of the cases, for four designs
+ * or more and any tau; tests/unit/certificate/kendall.c repeats this. */
 #include "certificate/statistics.h"
 
 #include <math.h>
