@@ -30,8 +30,12 @@ static void print_job(const struct ctl *ctl, const json_t *job)
        "|generation [{campaign.generation:,}|0] of {campaign.generations:,}; see morphoctl "
        "campaign show {id}|{atlas.bodies_done:,}[ of {atlas.bodies_total:,}] bodies"
        "[  {atlas.progress.rollouts_per_s:.0f} rollouts/s]"
-       "[  {atlas.progress.seconds_left:duration} left]]"},
-      {"scope", "[at most {atlas.voxels} voxels, {atlas.orientations}]"},
+       "[  {atlas.progress.seconds_left:duration} left]"
+       "|{certificate.rollouts_done:,} of {certificate.rollouts:,} rollouts"
+       "[  {certificate.progress.rollouts_per_s:.0f} rollouts/s]"
+       "[  {certificate.progress.seconds_left:duration} left]]"},
+      {"scope", "[at most {atlas.voxels} voxels, {atlas.orientations}"
+                "|{certificate.designs} designs in {certificate.trials} trials]"},
       {NULL, NULL}};
   static const struct fact evaluation[] = {
       {"controller", CONTROLLER_WORDS("controller", "")},
@@ -55,7 +59,7 @@ static void print_job(const struct ctl *ctl, const json_t *job)
   if (json_object_get(job, "measures") != NULL)
     job = with_measures(job);
   if (json_object_get(job, "training") == NULL && json_object_get(job, "campaign") == NULL &&
-      json_object_get(job, "atlas") == NULL)
+      json_object_get(job, "atlas") == NULL && json_object_get(job, "certificate") == NULL)
     print_facts(ctl, job, evaluation);
   print_facts(ctl, job, times);
   if (json_object_get(job, "results") != NULL) {

@@ -24,12 +24,14 @@ static const struct list {
      "design={robot}" SIZES "|>score={score:.4f}|first seen={first_seen_at:time}"},
     {"job list", "/v1/jobs", 50,
      ">job={id}|kind=[{training.kind}|{campaign.mode}|{kind}]|" STATE
-     "|priority={priority}|>designs=[{campaign.population:,}|{n_designs:,}|{atlas.bodies_total:,}]"
+     "|priority={priority}|>designs=[{campaign.population:,}|{n_designs:,}|{atlas.bodies_total:,}"
+     "|{certificate.designs:,}]"
      "|>work=[{training.steps:,} steps|{campaign.generations:,} generations"
-     "|{rollouts_total:,} rollouts|{atlas.voxels} voxels]"
+     "|{rollouts_total:,} rollouts|{certificate.rollouts:,} rollouts|{atlas.voxels} voxels]"
      "|>done=[{training.step/training.steps:%}"
      "|{campaign.generation/campaign.generations:%}"
-     "|{rollouts_done/rollouts_total:%}|{atlas.bodies_done/atlas.bodies_total:%}|0 %]"
+     "|{rollouts_done/rollouts_total:%}|{certificate.rollouts_done/certificate.rollouts:%}"
+     "|{atlas.bodies_done/atlas.bodies_total:%}|0 %]"
      "|>core time={core_seconds:duration}|created={created_at:time}|label={label}"
      "|experiment={experiment}"},
     {"train list", "/v1/trainings", 50,

@@ -28,6 +28,7 @@ static const struct {
     {"campaign.progress",
      "  generation {data.generation}  {data.phase} {data.done:,} of {data.total:,}"},
     {"atlas.progress", "  {data.bodies_done:,} of {data.bodies_total:,} bodies"},
+    {"certificate.progress", "  {data.rollouts_done:,} of {data.rollouts:,} rollouts"},
     {"campaign.imported", "  campaign {data.campaign} of store {data.store}"},
     {"scores.imported", "  {data.new:,} rollouts of store {data.store} on {data.host}"},
     {"scores.differ", "  {data.different:,} rollouts of store {data.store} on {data.host}"},

@@ -314,10 +314,14 @@ static void wait_for(struct ctl *ctl, const char *id)
     const bool rests = strcmp(state, "paused") == 0;
     final = is_final(state);
     const int64_t waiting = number_of(job, "n_waiting"), designs = number_of(job, "n_designs");
-    const json_t *atlas = json_object_get(job, "atlas");
+    const json_t *atlas = json_object_get(job, "atlas"),
+                 *certificate = json_object_get(job, "certificate");
     if (!final && atlas != NULL)
       progress_show(ctl, state, number_of(atlas, "bodies_done"), number_of(atlas, "bodies_total"),
                     "bodies");
+    else if (!final && certificate != NULL)
+      progress_show(ctl, state, number_of(certificate, "rollouts_done"),
+                    number_of(certificate, "rollouts"), "rollouts");
     else if (!final && waiting > 0)
       progress_show(ctl, state, designs - waiting, designs, "designs stored");
     else if (!final)

@@ -43,8 +43,9 @@ static int load_losses(struct mo_store *store, struct mo_report *report, uint32_
 
 static int compute(struct mo_report *report)
 {
-  report->scores = calloc((size_t)report->n_trials * report->n_designs, sizeof(*report->scores));
-  report->lists = calloc(report->n_trials, sizeof(*report->lists));
+  report->scores =
+      calloc((size_t)report->n_trials * report->n_designs + 1, sizeof(*report->scores));
+  report->lists = calloc((size_t)report->n_trials + 1, sizeof(*report->lists));
   if (report->scores == NULL || report->lists == NULL)
     return MO_ERR_NO_MEMORY;
   return mo_certificate_figures(&report->status.record.settings, report->trials, report->n_trials,

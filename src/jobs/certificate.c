@@ -234,25 +234,23 @@ static void free_group(struct group *group)
 static int make_environments(struct run *run)
 {
   struct group *group = &run->group;
-  struct mo_environment *of_trial = NULL;
-  uint32_t trial = UINT32_MAX;
+  struct mo_environment *all = NULL;
   int error = MO_OK;
   for (uint32_t i = 0; i < group->n && error == MO_OK; i++) {
     const struct part *part = &group->parts[i];
-    if (part->trial != trial) {
-      free(of_trial);
-      of_trial = calloc(run->trials[part->trial].n_environments, sizeof(*of_trial));
-      error = of_trial == NULL
-                  ? MO_ERR_NO_MEMORY
-                  : mo_certificate_environments(&run->status.record.settings, &run->base,
-                                                &run->trials[part->trial], of_trial);
-      trial = part->trial;
+    const struct mo_trial *trial = &run->trials[part->trial];
+    if (i == 0 || part->trial != part[-1].trial) {
+      free(all);
+      all = calloc((size_t)trial->n_environments + 1, sizeof(*all));
+      if (all == NULL)
+        return MO_ERR_NO_MEMORY;
+      error = mo_certificate_environments(&run->status.record.settings, &run->base, trial, all);
     }
     if (error == MO_OK)
-      memcpy(group->environments + (size_t)i * group->width, of_trial + part->first,
-             part->n * sizeof(*of_trial));
+      memcpy(group->environments + (size_t)i * group->width, all + part->first,
+             part->n * sizeof(*all));
   }
-  free(of_trial);
+  free(all);
   return error;
 }
 

@@ -10,6 +10,7 @@ import numpy
 import pytest
 
 from service import Service, await_end, awaited, run, until
+from test_devices import FLAGS, fake
 
 AXES = ["base", "precision", "step", "held_out", "chance", "friction", "worlds"]
 SIX = {"axes": AXES, "levels": [0.7, 1.2], "held_out": 64, "chance": 2, "worlds": 70, "seed": 9,
@@ -220,6 +221,19 @@ def test_the_same_report_elsewhere(service, made, start):
     _, seeded = certify(service, SIX | {"designs": bodies(service, 6), "seed": 10})
     assert scores(seeded, "base") == scores(report, "base")
     assert scores(seeded, "worlds") != scores(report, "worlds")
+
+
+def test_devices(service, made, start):
+    """Devices compute float32, here with the same bits, and processors float64."""
+    _, report = made
+    on_device = start(*FLAGS, environment=fake(devices=2))
+    job, other = certify(on_device, SIX | {"designs": bodies(on_device, 6), "device": "cuda"})
+    assert job["device"] == "cuda" and job["device_seconds"] > 0
+    for row, own in zip(other["levels"], report["levels"]):
+        kind = "fake" if row["precision"] == "float32" else "cpu"
+        assert row["fingerprint"].split()[0] == kind, row
+        assert row | {"fingerprint": ""} == own | {"fingerprint": ""}
+    assert other["designs"] == report["designs"]
 
 
 # ---- designs of other jobs ----

@@ -162,8 +162,16 @@ const atlas = {
   worlds: (job) => job.atlas.environments,
 };
 
+/** @type {Kind} */
+const certificate = {
+  ...atlas, name: 'Certificate', names: 'Certificates', kind: 'certificate', loses: 'its report',
+  progress: ({ certificate: { rollouts_done: done, rollouts: all, progress } }) =>
+    counted(done, all, 'rollouts', progress.seconds_left),
+  worlds: (job) => job.certificate.environments,
+};
+
 /** @type {Object<string, Kind>} */
-export const KINDS = { evaluation, training, campaign, study, atlas };
+export const KINDS = { evaluation, training, campaign, study, atlas, certificate };
 
 /** Returns the name of a job's kind in this table. */
 export const kindName = (job) => (study.only(job) ? 'study' : job.kind);
@@ -177,8 +185,11 @@ export const asJob = (kind, item) =>
   (kind === 'training' ? { ...item, trainingKind: item.kind, kind } : { ...item, kind });
 
 /** Returns the address of a job's page. */
-export const linkOf = (job, tab = '') => (job.kind === 'atlas'
-  ? `#/atlas/${job.atlas?.name ?? ''}` : `#/${kindOf(job).path}/${job.id}${tab && `/${tab}`}`);
+export function linkOf(job, tab = '') {
+  if (job.kind === 'atlas') return `#/atlas/${job.atlas?.name ?? ''}`;
+  if (job.kind === 'certificate') return `#/certificate/${job.id}`;
+  return `#/${kindOf(job).path}/${job.id}${tab && `/${tab}`}`;
+}
 
 /** Returns the path of a job as a resource of its kind. */
 export const pathOf = (job) => `v1/${kindOf(job).path}/${job.id}`;

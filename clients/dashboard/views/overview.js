@@ -129,7 +129,7 @@ export async function mount(main, path, parameters, app) {
     if (kind === 'evaluation') {
       return job.suite ? `all tasks of ${job.suite.name}` : '';
     }
-    if (kind === 'atlas') return '';
+    if (kind === 'atlas' || kind === 'certificate') return '';
     const environments = await environmentsOfCampaign(job);
     const name = taskNameOf(job.settings.environments, environments);
     const best = job.newest?.score.quantiles.p0 ?? null;
