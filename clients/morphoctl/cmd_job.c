@@ -33,9 +33,10 @@ static void print_job(const struct ctl *ctl, const json_t *job)
        "[  {atlas.progress.seconds_left:duration} left]"
        "|{certificate.rollouts_done:,} of {certificate.rollouts:,} rollouts"
        "[  {certificate.progress.rollouts_per_s:.0f} rollouts/s]"
-       "[  {certificate.progress.seconds_left:duration} left]]"},
+       "[  {certificate.progress.seconds_left:duration} left]; see morphoctl certificate {id}]"},
       {"scope", "[at most {atlas.voxels} voxels, {atlas.orientations}"
-                "|{certificate.designs} designs in {certificate.trials} trials]"},
+                "|{certificate.designs} design{certificate.designs:s} in "
+                "{certificate.trials} trial{certificate.trials:s}]"},
       {NULL, NULL}};
   static const struct fact evaluation[] = {
       {"controller", CONTROLLER_WORDS("controller", "")},

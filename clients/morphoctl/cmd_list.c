@@ -1,4 +1,4 @@
-/* cmd_list.c: campaign, controller, design, job and train list: one row per item. */
+/* cmd_list.c: campaign, certificate, controller, design, job and train list: one row per item. */
 #include <string.h>
 
 #include "commands.h"
@@ -17,6 +17,11 @@ static const struct list {
      "|>generation=[{newest.generation:,}|–]|>of={progress.generations:,}"
      "|>mean={newest.score.mean:.4f}|>best={newest.score.quantiles.p0:.4f}"
      "|>diversity={newest.diversity:.4f}|created={created_at:time}|label={label}"},
+    {"certificate list", "/v1/certificates", 50,
+     ">certificate={id}|" STATE "|>designs={certificate.designs}"
+     "|environments=[{certificate.environments}|{certificate.environments.count}]"
+     "|>trials={certificate.trials_done}|>of={certificate.trials}"
+     "|>rollouts={certificate.rollouts:,}|created={created_at:time}|label={label}"},
     {"controller list", "/v1/controllers", 0,
      "name={name}|sensor={sensor}|>parameters={parameters:,}|>bytes={bytes:,}"
      "|stored={stored_at:time}|sha256={sha256}"},

@@ -21,8 +21,9 @@ enum status {
   STATUS_INTERRUPTED = 130
 };
 
-/* Default: a word. FIELD_RANGES: NAME=LOW:HIGH, can be repeated. */
-enum field_kind { FIELD_WORD, FIELD_WHOLE, FIELD_REAL, FIELD_RANGES };
+/* Default: a word. FIELD_WORDS, FIELD_REALS: a list, separated by commas. FIELD_RANGES:
+ * NAME=LOW:HIGH, can be repeated. */
+enum field_kind { FIELD_WORD, FIELD_WHOLE, FIELD_REAL, FIELD_WORDS, FIELD_REALS, FIELD_RANGES };
 
 struct option_spec {
   const char *name;  /* without dashes; NULL ends a list */

@@ -27,9 +27,35 @@ static json_t *field_value(enum field_kind kind, const char *text)
   return json_string(text);
 }
 
+/* Parses values that are separated by commas. */
+static json_t *list_value(enum field_kind kind, const char *text)
+{
+  json_t *list = json_array();
+  char *rest = keep(strdup(text)), *word;
+  while ((word = strsep(&rest, ",")) != NULL) {
+    json_t *value = field_value(kind, word);
+    if (value == NULL) {
+      json_decref(list);
+      return NULL;
+    }
+    json_array_append_new(list, value);
+  }
+  return list;
+}
+
+static json_t *value_of(enum field_kind kind, const char *text)
+{
+  return kind == FIELD_WORDS   ? list_value(FIELD_WORD, text)
+         : kind == FIELD_REALS ? list_value(FIELD_REAL, text)
+                               : field_value(kind, text);
+}
+
 static const char *field_kind_name(enum field_kind kind)
 {
-  return kind == FIELD_WHOLE ? "whole number" : kind == FIELD_REAL ? "number" : "text in UTF-8";
+  return kind == FIELD_WHOLE   ? "whole number"
+         : kind == FIELD_REAL  ? "number"
+         : kind == FIELD_REALS ? "list of numbers, separated by commas"
+                               : "text in UTF-8";
 }
 
 /* Puts a value at its place, and creates the objects around it. Takes the reference. */
@@ -88,7 +114,7 @@ static void fill_fields(const struct ctl *ctl, json_t *request)
       fill_place(request, spec->place, ranges_of(ctl, spec));
       continue;
     }
-    json_t *value = field_value(spec->kind, text);
+    json_t *value = value_of(spec->kind, text);
     if (value == NULL)
       fail(STATUS_USAGE, "--%s: \"%s\" is not a %s", spec->name, text, field_kind_name(spec->kind));
     fill_place(request, spec->place, value);

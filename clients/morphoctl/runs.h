@@ -17,6 +17,7 @@ command_function run_eval, run_verify, run_design_show, run_design_draw, run_des
     run_devices, run_version, run_completion, run_film, run_picture, run_dashboard, run_export,
     run_study_ask, run_study_tell, run_study_sampler, run_study_finish, run_bundle_export,
     run_bundle_import, run_bundle_verify, run_scores_export, run_scores_import, run_fleet,
-    run_fleet_drain, run_fleet_verify, run_fleet_launch /* slurm, systemd, kubernetes */;
+    run_fleet_drain, run_fleet_verify, run_certify, run_certificate,
+    run_fleet_launch /* slurm, systemd, kubernetes */;
 
 #endif

@@ -1,91 +1,10 @@
 /* table_of_commands.c: all commands with their options and help, in the order of the help text. */
+#include "atlas_commands.h"
+#include "certificate_commands.h"
 #include "commands.h"
 #include "live.h"
 #include "settings.inc"
-
-/* Options of several commands. */
-#define CONTROLLER                                                                                 \
-  "controller", 'c', "NAME", "Controller: a name or sha256:<64 digits> (default: default).",       \
-      "controller"
-#define PRECISION                                                                                  \
-  "precision", 0, "float32|float64", "Precision of the simulation (default: float32).", "precision"
-#define PHYSICS                                                                                    \
-  "physics", 'p', "KEY=VALUE|paper",                                                               \
-      "One physics setting, e.g. dt_s=0.001; can be repeated. paper: all of the paper's settings."
-#define ENVIRONMENTS                                                                               \
-  "environments", 'e', "SET|FILE",                                                                 \
-      "paper-test (default), a set of morpho-12 such as morpho-12-walk, or a JSON file with a "    \
-      "list "                                                                                      \
-      "of environments; - is standard input."
-#define WEIGHT                                                                                     \
-  "weight", 0, "X",                                                                                \
-      "Share of the cores relative to other batch jobs, 0.001 to 1000 (default: 1).", "weight",    \
-      FIELD_REAL
-#define DEVICE                                                                                     \
-  "device", 0, "auto|cpu|cuda",                                                                    \
-      "Where to run: CPU, GPU, or GPU if available and worthwhile (default: auto).", "device"
-#define KEY(job)                                                                                   \
-  "idempotency-key", 0, "KEY",                                                                     \
-      "A repeated request with the same key returns the same " job " (default: a new key)."
-#define VARY(place)                                                                                \
-  "vary", 0, "FACTOR=LOW:HIGH",                                                                    \
-      "Learn in worlds with factors drawn from a range, e.g. friction=0.5:1.2; FACTOR: "           \
-      "stiffness, mass, drag, gravity, actuation or friction; can be repeated.",                   \
-      place, FIELD_RANGES
-/* Options of films: how they are drawn; and options for the film of an evaluation. */
-#define LOOK                                                                                       \
-  {"size", 0, "WxH", "Pixels of the film or picture (default: 960x540)."},                         \
-      {"light", 0, NULL, "Draw on a bright background (default: dark)."},                          \
-      {"yaw", 0, "DEGREES", "Rotation of the camera away from the light (default: 20)."},          \
-      {"pitch", 0, "DEGREES", "Height of the camera above the horizon (default: 23)."},            \
-  {                                                                                                \
-    "distance", 0, "M", "Distance of the camera in meters (default: 2.2)."                         \
-  }
-#define RATE                                                                                       \
-  {                                                                                                \
-    "rate", 0, "FPS", "Frames per second of a film (default: 25)."                                 \
-  }
-#define FILM                                                                                       \
-  {"film", 0, "FILE",                                                                              \
-   "Then draw the recordings of up to 16 designs, the best ones if there are more: film.mp4 (or "  \
-   "another that ffmpeg makes), film.y4m, or a folder that ends with / for PNG files."},           \
-      {"environment", 0, "N", "Which of the environments the film shows, from 0 (default: 0)."},   \
-      LOOK, RATE
-/* How to treat invalid designs. */
-#define RULES(place)                                                                               \
-  {"on-fault", 0, "refuse|skip",                                                                   \
-   "How to treat an invalid design: refuse the request, or skip the design (default: refuse).",    \
-   place "on_fault"},                                                                              \
-  {                                                                                                \
-    "repair", 0, "none|largest",                                                                   \
-        "Body in several pieces: reject it, or keep the largest piece (default: none).",           \
-        place "repair"                                                                             \
-  }
-#define LABEL      "label", 'l', "TEXT", "A label to find the job by.", "label"
-#define EXPERIMENT "experiment", 0, "NAME", "Experiment that the job belongs to.", "experiment"
-/* Options of both commands that start long jobs. */
-#define OF_LONG_JOBS(job, command)                                                                 \
-  {"priority", 0, "interactive|batch", "Default: batch.", "priority"}, {WEIGHT}, {DEVICE},         \
-      {LABEL}, {EXPERIMENT},                                                                       \
-      {"watch", 'w', NULL, "Watch it until it ends, as " command " watch does."},                  \
-  {                                                                                                \
-    KEY(job)                                                                                       \
-  }
-/* Options of lists. */
-#define STATE(jobs)                                                                                \
-  "state", 0, "STATE",                                                                             \
-      "Only " jobs " that are queued, running, paused, succeeded, failed or cancelled."
-#define LABELED       "label", 'l', "TEXT", "Only jobs with this label; a final * matches anything."
-#define SEARCHED      "search", 0, "TEXT", "Only jobs whose label contains this text."
-#define OF_EXPERIMENT "experiment", 0, "NAME", "Only jobs of this experiment."
-#define FILTERED                                                                                   \
-  {LABELED}, {SEARCHED}, {OF_EXPERIMENT},                                                          \
-  {                                                                                                \
-    "archived", 0, "true|all", "true: only archived jobs; all: archived and others."               \
-  }
-#define OF_USER   "submitted-by", 0, "NAME", "Only jobs submitted with this token."
-#define NEWEST    "limit", 'n', "N", "Maximum number, newest first (default: 50)."
-#define UNLIMITED "all", 'a', NULL, "No limit."
+#include "shared_options.h"
 
 static const struct option_spec eval_options[] = {
     {CONTROLLER},
@@ -450,63 +369,6 @@ static const struct option_spec suite_picture_options[] = {
      "Width, 320 to 2000 (default: 760). Below 620, the legend is below the axes."},
     {NULL}};
 
-/* Options of the queries of atlases. */
-#define AT_POSITION                                                                                \
-  "position", 0, "N", "The body at this position in the order of the atlas, instead of DESIGN."
-#define STEPS                                                                                      \
-  "steps", 0, "LIST",                                                                              \
-      "Steps that lead to a neighbor, separated by commas: add, remove, move (default: "           \
-      "add,remove)."
-#define OF_VOXELS "voxels", 0, "N", "Only bodies of N voxels."
-static const struct option_spec atlas_body_options[] = {
-    {AT_POSITION},
-    {STEPS},
-    {"changes", 0, "N", "How many of the best changes to list, 0 to 64 (default: 8)."},
-    {NULL}};
-static const struct option_spec atlas_steps_options[] = {{AT_POSITION}, {STEPS}, {NULL}};
-static const struct option_spec atlas_similar_options[] = {
-    {AT_POSITION}, {"limit", 'n', "N", "Maximum number, best first (default: 100)."}, {NULL}};
-static const struct option_spec atlas_best_options[] = {
-    {OF_VOXELS},
-    {"lo", 0, "SCORE", "Only scores from this one on."},
-    {"hi", 0, "SCORE", "Only scores below this one."},
-    {"limit", 'n', "N", "Maximum number, best first (default: 20)."},
-    {NULL}};
-static const struct option_spec atlas_optima_options[] = {
-    {"limit", 'n', "N", "Maximum number, largest basins first, up to 500 (default: 20)."}, {NULL}};
-static const struct option_spec atlas_histogram_options[] = {
-    {OF_VOXELS},
-    {"bins", 0, "N", "Number of bins, 1 to 1024 (default: 20)."},
-    {"lo", 0, "SCORE", "Where the first bin begins (default: the lowest score)."},
-    {"hi", 0, "SCORE", "Where the last bin ends (default: the highest score)."},
-    {NULL}};
-static const struct option_spec atlas_compare_options[] = {
-    {"bins", 0, "N", "Number of bins of each score, 1 to 64 (default: 24)."}, {NULL}};
-static const struct option_spec atlas_download_options[] = {
-    {"output", 'o', "FILE", "Where to save it; - is standard output (default: NAME.atlas)."},
-    {NULL}};
-
-static const struct option_spec atlas_build_options[] = {
-    {"voxels", 'n', "N", "The most voxels of a body, 1 to 10 (required).", "voxels", FIELD_WHOLE},
-    {"task", 't', "TASK",
-     "A task of the suite morpho-12, such as walk, in its ten worlds to select with.", "task"},
-    {ENVIRONMENTS},
-    {"orientations", 0, "images|canonical",
-     "images: a score is the mean over the distinct images of a body, at most eight (default). "
-     "canonical: that of its canonical form, in an eighth of the time.",
-     "orientations"},
-    {"name", 0, "NAME", "Name of the atlas (default: made of task and voxels, such as walk-10).",
-     "name"},
-    {CONTROLLER},
-    {PHYSICS},
-    {"wait", 'w', NULL, "Wait until it is built, and print its name."},
-    {WEIGHT},
-    {DEVICE},
-    {LABEL},
-    {EXPERIMENT},
-    {KEY("job")},
-    {NULL}};
-
 const struct command commands[] = {
     {"eval", "[DESIGN]...", "Score designs.", run_eval,
      "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, the "
@@ -664,43 +526,8 @@ const struct command commands[] = {
      "12.4 MB for each that learned. Populations, phylogeny and the resulting controller stay. A "
      "simultaneous campaign can then no longer be extended or resumed, and without a result its "
      "champions can no longer be recorded. Nothing is deleted for a campaign that has not ended."},
-    {"atlas build", "", "Score all bodies of at most N voxels, as one file.", run_atlas_build,
-     "There are 1,057,222 bodies of at most 10 voxels. The build is a job of the server, which "
-     "continues without morphoctl, and after a crash; job pause, resume and cancel control it. "
-     "Without --wait, prints the id of the job.",
-     atlas_build_options},
-    {"atlas list", "", "List the atlases of the server.", run_atlas_list},
-    {"atlas show", "NAME", "Show an atlas, with the best body of each size.", run_atlas_show},
-    {"atlas body", "NAME [DESIGN]", "Show where a body stands among all.", run_atlas_body,
-     "Its score, rank and percentile, and the best bodies that one step makes of it. DESIGN is one "
-     "design, as those of eval.",
-     atlas_body_options},
-    {"atlas neighbors", "NAME [DESIGN]", "List the bodies that one step makes of a body.",
-     run_atlas_neighbors, "The best first.", atlas_steps_options},
-    {"atlas ascent", "NAME [DESIGN]", "Follow the best changes to a local optimum.",
-     run_atlas_ascent, NULL, atlas_steps_options},
-    {"atlas similar", "NAME [DESIGN]", "List bodies that differ by one or two voxels.",
-     run_atlas_similar, "Steps of adding and removing a voxel; the best first.",
-     atlas_similar_options},
-    {"atlas best", "NAME", "List the best bodies.", run_atlas_best,
-     "Of all sizes or of one; with --lo and --hi, those of a range of scores.", atlas_best_options},
-    {"atlas optima", "NAME", "List the local optima with the largest basins.", run_atlas_optima,
-     "The basin of an optimum is the number of bodies whose steepest ascent by adding and removing "
-     "voxels ends at it. The first time takes some seconds.",
-     atlas_optima_options},
-    {"atlas histogram", "NAME", "Show the distribution of the scores.", run_atlas_histogram, NULL,
-     atlas_histogram_options},
-    {"atlas compare", "A B", "Compare the scores of the same bodies in two atlases.",
-     run_atlas_compare,
-     "Kendall's rank correlation (tau-b) over all bodies in both, and a map of both scores: that "
-     "of A downward, that of B to the right.",
-     atlas_compare_options},
-    {"atlas download", "NAME", "Fetch the file of an atlas.", run_atlas_download,
-     "The Python package reads it without a server.", atlas_download_options},
-    {"atlas upload", "NAME FILE", "Store a file as an atlas.", run_atlas_upload,
-     "The server checks all of it first. An atlas with this name is replaced. - is standard "
-     "input."},
-    {"atlas delete", "NAME", "Delete an atlas.", run_atlas_delete, "It cannot be restored."},
+    ATLAS_COMMANDS,
+    CERTIFICATE_COMMANDS,
     {"study ask", "ID N", "Ask a study for N bodies that it has never seen.", run_study_ask,
      "Children of its population as JSON, one per line, which study tell reads. The same question "
      "gets the same answer until the next batch. campaign start study makes a study; the "

@@ -1,0 +1,107 @@
+/* atlas_commands.h: the rows of the table of commands for atlases, with their options. Only
+ * table_of_commands.c includes it. */
+#ifndef MORPHOCTL_ATLAS_COMMANDS_H
+#define MORPHOCTL_ATLAS_COMMANDS_H
+
+#include "runs.h"
+#include "shared_options.h"
+
+/* Options of the queries of atlases. */
+#define AT_POSITION                                                                                \
+  "position", 0, "N", "The body at this position in the order of the atlas, instead of DESIGN."
+#define STEPS                                                                                      \
+  "steps", 0, "LIST",                                                                              \
+      "Steps that lead to a neighbor, separated by commas: add, remove, move (default: "           \
+      "add,remove)."
+#define OF_VOXELS "voxels", 0, "N", "Only bodies of N voxels."
+static const struct option_spec atlas_body_options[] = {
+    {AT_POSITION},
+    {STEPS},
+    {"changes", 0, "N", "How many of the best changes to list, 0 to 64 (default: 8)."},
+    {NULL}};
+static const struct option_spec atlas_steps_options[] = {{AT_POSITION}, {STEPS}, {NULL}};
+static const struct option_spec atlas_similar_options[] = {
+    {AT_POSITION}, {"limit", 'n', "N", "Maximum number, best first (default: 100)."}, {NULL}};
+static const struct option_spec atlas_best_options[] = {
+    {OF_VOXELS},
+    {"lo", 0, "SCORE", "Only scores from this one on."},
+    {"hi", 0, "SCORE", "Only scores below this one."},
+    {"limit", 'n', "N", "Maximum number, best first (default: 20)."},
+    {NULL}};
+static const struct option_spec atlas_optima_options[] = {
+    {"limit", 'n', "N", "Maximum number, largest basins first, up to 500 (default: 20)."}, {NULL}};
+static const struct option_spec atlas_histogram_options[] = {
+    {OF_VOXELS},
+    {"bins", 0, "N", "Number of bins, 1 to 1024 (default: 20)."},
+    {"lo", 0, "SCORE", "Where the first bin begins (default: the lowest score)."},
+    {"hi", 0, "SCORE", "Where the last bin ends (default: the highest score)."},
+    {NULL}};
+static const struct option_spec atlas_compare_options[] = {
+    {"bins", 0, "N", "Number of bins of each score, 1 to 64 (default: 24)."}, {NULL}};
+static const struct option_spec atlas_download_options[] = {
+    {"output", 'o', "FILE", "Where to save it; - is standard output (default: NAME.atlas)."},
+    {NULL}};
+
+static const struct option_spec atlas_build_options[] = {
+    {"voxels", 'n', "N", "The most voxels of a body, 1 to 10 (required).", "voxels", FIELD_WHOLE},
+    {"task", 't', "TASK",
+     "A task of the suite morpho-12, such as walk, in its ten worlds to select with.", "task"},
+    {ENVIRONMENTS},
+    {"orientations", 0, "images|canonical",
+     "images: a score is the mean over the distinct images of a body, at most eight (default). "
+     "canonical: that of its canonical form, in an eighth of the time.",
+     "orientations"},
+    {"name", 0, "NAME", "Name of the atlas (default: made of task and voxels, such as walk-10).",
+     "name"},
+    {CONTROLLER},
+    {PHYSICS},
+    {"wait", 'w', NULL, "Wait until it is built, and print its name."},
+    {WEIGHT},
+    {DEVICE},
+    {LABEL},
+    {EXPERIMENT},
+    {KEY("job")},
+    {NULL}};
+
+/* clang-format off */
+#define ATLAS_COMMANDS \
+  {"atlas build", "", "Score all bodies of at most N voxels, as one file.", run_atlas_build, \
+   "There are 1,057,222 bodies of at most 10 voxels. The build is a job of the server, which " \
+   "continues without morphoctl, and after a crash; job pause, resume and cancel control it. " \
+   "Without --wait, prints the id of the job.", \
+   atlas_build_options}, \
+  {"atlas list", "", "List the atlases of the server.", run_atlas_list}, \
+  {"atlas show", "NAME", "Show an atlas, with the best body of each size.", run_atlas_show}, \
+  {"atlas body", "NAME [DESIGN]", "Show where a body stands among all.", run_atlas_body, \
+   "Its score, rank and percentile, and the best bodies that one step makes of it. DESIGN is one " \
+   "design, as those of eval.", \
+   atlas_body_options}, \
+  {"atlas neighbors", "NAME [DESIGN]", "List the bodies that one step makes of a body.", \
+   run_atlas_neighbors, "The best first.", atlas_steps_options}, \
+  {"atlas ascent", "NAME [DESIGN]", "Follow the best changes to a local optimum.", \
+   run_atlas_ascent, NULL, atlas_steps_options}, \
+  {"atlas similar", "NAME [DESIGN]", "List bodies that differ by one or two voxels.", \
+   run_atlas_similar, "Steps of adding and removing a voxel; the best first.", \
+   atlas_similar_options}, \
+  {"atlas best", "NAME", "List the best bodies.", run_atlas_best, \
+   "Of all sizes or of one; with --lo and --hi, those of a range of scores.", atlas_best_options}, \
+  {"atlas optima", "NAME", "List the local optima with the largest basins.", run_atlas_optima, \
+   "The basin of an optimum is the number of bodies whose steepest ascent by adding and removing " \
+   "voxels ends at it. The first time takes some seconds.", \
+   atlas_optima_options}, \
+  {"atlas histogram", "NAME", "Show the distribution of the scores.", run_atlas_histogram, NULL, \
+   atlas_histogram_options}, \
+  {"atlas compare", "A B", "Compare the scores of the same bodies in two atlases.", \
+   run_atlas_compare, \
+   "Kendall's rank correlation (tau-b) over all bodies in both, and a map of both scores: that " \
+   "of A downward, that of B to the right.", \
+   atlas_compare_options}, \
+  {"atlas download", "NAME", "Fetch the file of an atlas.", run_atlas_download, \
+   "The Python package reads it without a server.", atlas_download_options}, \
+  {"atlas upload", "NAME FILE", "Store a file as an atlas.", run_atlas_upload, \
+   "The server checks all of it first. An atlas with this name is replaced. - is standard " \
+   "input."}, \
+  {"atlas delete", "NAME", "Delete an atlas.", run_atlas_delete, "It cannot be restored."}
+/* clang-format on */
+
+#endif
