@@ -20,6 +20,7 @@ from ..scores import Entered, blocks
 from .._wire import Request, given as _given, without_none
 from . import comparing
 from .atlases import Atlases
+from .certificates import Certifying
 from .connection import AsyncConnection
 from .fleet import AsyncFleet
 from .handles import AsyncCampaign, AsyncCampaigns, AsyncTraining, curves, curves_of
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 _RANDOM_BODIES_MAX = 1000000
 
 
-class AsyncClient(Scoring, Learning, Atlases):
+class AsyncClient(Scoring, Learning, Atlases, Certifying):
     """A client of a morphod service.
 
     `server` is `http://host:port`, `https://…` or `unix:/path`; the default is $MORPHOD_SERVER, or
