@@ -50,6 +50,23 @@ static json_t *ranked_designs(const json_t *report)
   return ranked;
 }
 
+/* Returns what computed the losses: a class for each precision and device that was used. */
+static const char *classes_of(const json_t *report)
+{
+  json_t *classes = keep(json_array());
+  const json_t *level, *known;
+  size_t i, k;
+  json_array_foreach(json_object_get(report, "levels"), i, level)
+  {
+    json_t *name = json_object_get(level, "fingerprint");
+    bool is_new = true;
+    json_array_foreach(classes, k, known) is_new = is_new && !json_equal(known, name);
+    if (is_new)
+      json_array_append(classes, name);
+  }
+  return words_of(classes);
+}
+
 static void print_report(const struct ctl *ctl, const json_t *report)
 {
   static const struct fact facts[] = {
@@ -57,12 +74,14 @@ static void print_report(const struct ctl *ctl, const json_t *report)
       {"controller", CONTROLLER_WORDS("controller", "")},
       {"environments", "[{environments}|{environments.count} of the request]"},
       {"physics", "{physics.n_steps} steps of {physics.dt_s:g} s, integrator {physics.integrator}"},
+      {"class", "[{classes}]"},
       {"seed", "{seed}"},
       {"designs", "{n_designs}; regret of choosing the [best {top>1}|best one]"},
       {NULL, NULL}};
   json_t *designs = ranked_designs(report);
   const json_t *design;
   size_t i;
+  json_object_set_new((json_t *)report, "classes", json_string(classes_of(report)));
   print_facts(ctl, report, facts);
   putchar('\n');
   print_wrapped(0, text_of(report, "verdict"));
@@ -129,11 +148,14 @@ static void fill_designs(struct ctl *ctl, json_t *request)
   json_object_set_new(request, "population", population);
 }
 
-/* Reports the designs that are skipped, or were chosen for an id. */
-static void print_notes(const struct ctl *ctl, const json_t *notes)
+/* Reports what a campaign provided, and the designs that are skipped, or were chosen for an id. */
+static void print_notes(const struct ctl *ctl, const json_t *job)
 {
-  const json_t *note;
+  const json_t *notes = json_object_get(job, "notes"), *note;
+  const char *taken = words_of(value_at(job, "certificate.from_campaign"));
   size_t i;
+  if (*taken != 0 && !ctl->quiet && !ctl->json)
+    print_plain_line(stderr, "of the campaign: %s", taken);
   json_array_foreach(notes, i, note)
   {
     if (json_is_object(json_object_get(note, "fault")) && !ctl->quiet)
@@ -153,7 +175,7 @@ void run_certify(struct ctl *ctl)
   request_fill(ctl, request);
   const json_t *job = post_job(ctl, "/v1/certificates", request, 0);
   const char *id = text_of(job, "id");
-  print_notes(ctl, json_object_get(job, "notes"));
+  print_notes(ctl, job);
   if (!wait) {
     if (ctl->json)
       print_json(job);

@@ -42,6 +42,8 @@ def test_the_report_as_text(certified):
     assert report["verdict"] in words
     assert all(design["verdict"] in words for design in report["designs"])
     assert "environments paper-test physics 40 steps of 0.002 s" in words
+    classes = [level["fingerprint"] for level in report["levels"]]
+    assert classes[0] != classes[1] and f"class {classes[0]}, {classes[1]} seed 1" in words
     assert "designs 4; regret of choosing the best one" in words
     assert [(level["axis"], level["level"]) for level in report["levels"]] == AXES
     for row, level in zip(table_below(out, "axis"), report["levels"], strict=True):
@@ -130,7 +132,8 @@ def test_populations(service, ctl, certified):
                                               "physics": {"n_steps": 30}})["id"]
     await_end(service, f"/v1/campaigns/{campaign}")
     status, out, err = ctl(f"certify --campaign {campaign} --axes friction --wait")
-    assert status == 0 and "physics        30 steps" in out, err
+    assert status == 0 and "physics        30 steps" in out, out
+    assert err == "of the campaign: controller, environments, physics\n"
     assert len(table_below(out, "rank")) == 8
 
 
