@@ -7,6 +7,7 @@
 
 #include "base/clock.h"
 #include "base/words.h"
+#include "store/certificate_rows.h"
 #include "store/contents.h"
 #include "store/controller_rows.h"
 #include "store/jobs.h"
@@ -163,41 +164,73 @@ static size_t index_of(const struct trial *trial, uint64_t place)
   return (size_t)(rest / width) * trial->n_environments + first + rest % width;
 }
 
-static int read_measures(sqlite3_stmt *row, const int64_t key[KEY_WORDS], uint32_t n,
-                         struct trial *trial)
+/* A row of certificate_losses: trial, place, losses, measures, from column `first` on. */
+struct row {
+  int64_t key[KEY_WORDS];
+  uint64_t place;
+  const uint8_t *losses, *measures; /* measures NULL: none */
+  size_t n, measures_size;
+};
+/* MO_ERR_CORRUPT: wrong size or wrong checksum. Does not look at the measures. */
+static int read_row(sqlite3_stmt *statement, int first, int64_t id, struct row *row)
 {
-  double(*values)[MO_MEASURES] = malloc((n + 1) * sizeof(*values));
+  const size_t size = (size_t)sqlite3_column_bytes(statement, first + 2);
+  uint64_t sum;
+  *row = (struct row){.key = {id, sqlite3_column_int64(statement, first),
+                              sqlite3_column_int64(statement, first + 1)},
+                      .place = (uint64_t)sqlite3_column_int64(statement, first + 1),
+                      .losses = sqlite3_column_blob(statement, first + 2),
+                      .measures = sqlite3_column_blob(statement, first + 3),
+                      .measures_size = (size_t)sqlite3_column_bytes(statement, first + 3)};
+  if (row->losses == NULL || size <= CHECKSUM || (size - CHECKSUM) % sizeof(float) != 0)
+    return MO_ERR_CORRUPT;
+  row->n = (size - CHECKSUM) / sizeof(float);
+  memcpy(&sum, row->losses + size - CHECKSUM, CHECKSUM);
+  return sum == mo_row_checksum(row->key, KEY_WORDS, row->losses, size - CHECKSUM) ? MO_OK
+                                                                                   : MO_ERR_CORRUPT;
+}
+
+/* Reads the measures of a row (malloc). */
+static int unpack(const struct row *row, double (**values)[MO_MEASURES])
+{
   uint32_t n_measures = 0;
-  int error = values == NULL ? MO_ERR_NO_MEMORY
-                             : mo_unpack_measures(key, KEY_WORDS, sqlite3_column_blob(row, 2),
-                                                  (size_t)sqlite3_column_bytes(row, 2), n, values,
-                                                  &n_measures);
-  for (uint32_t i = 0; i < n && error == MO_OK; i++)
-    memcpy(trial->measures[index_of(trial, trial->n + i)], values[i], sizeof(values[i]));
+  *values = malloc((row->n + 1) * sizeof(**values));
+  return *values == NULL
+             ? MO_ERR_NO_MEMORY
+             : mo_unpack_measures(row->key, KEY_WORDS, row->measures, row->measures_size,
+                                  (uint32_t)row->n, *values, &n_measures);
+}
+
+int mo_certificate_row_check(sqlite3_stmt *statement)
+{
+  double(*values)[MO_MEASURES] = NULL;
+  struct row row;
+  int error = read_row(statement, 1, sqlite3_column_int64(statement, 0), &row);
+  if (error == MO_OK && row.measures != NULL)
+    error = unpack(&row, &values);
   free(values);
   return error;
 }
 
-/* Reads a row, which must continue the earlier ones. */
-static int read_losses(sqlite3_stmt *row, int64_t id, uint32_t number, struct trial *trial)
+/* Adds a row, which must continue the earlier ones. */
+static int add_row(sqlite3_stmt *statement, int64_t id, struct trial *trial)
 {
-  const uint64_t place = (uint64_t)sqlite3_column_int64(row, 0),
-                 most = (uint64_t)trial->n_designs * trial->n_environments - trial->n;
-  const uint8_t *bytes = sqlite3_column_blob(row, 1);
-  const size_t size = (size_t)sqlite3_column_bytes(row, 1);
-  const int64_t key[KEY_WORDS] = {id, number, (int64_t)place};
-  const size_t n = (size - CHECKSUM) / sizeof(float);
-  uint64_t sum;
-  if (bytes == NULL || size <= CHECKSUM || (size - CHECKSUM) % sizeof(float) != 0 ||
-      place != trial->n || n > most)
-    return MO_ERR_CORRUPT;
-  memcpy(&sum, bytes + size - CHECKSUM, CHECKSUM);
-  if (sum != mo_row_checksum(key, KEY_WORDS, bytes, size - CHECKSUM))
-    return MO_ERR_CORRUPT;
-  for (size_t i = 0; i < n; i++)
-    memcpy(&trial->losses[index_of(trial, place + i)], bytes + i * sizeof(float), sizeof(float));
-  const int error = trial->measures != NULL ? read_measures(row, key, (uint32_t)n, trial) : MO_OK;
-  trial->n += n;
+  const uint64_t left = (uint64_t)trial->n_designs * trial->n_environments - trial->n;
+  double(*values)[MO_MEASURES] = NULL;
+  struct row row;
+  int error = read_row(statement, 0, id, &row);
+  if (error == MO_OK && (row.place != trial->n || row.n > left))
+    error = MO_ERR_CORRUPT;
+  if (error == MO_OK && trial->measures != NULL)
+    error = unpack(&row, &values);
+  for (size_t i = 0; i < row.n && error == MO_OK; i++) {
+    const size_t at = index_of(trial, row.place + i);
+    memcpy(&trial->losses[at], row.losses + i * sizeof(float), sizeof(float));
+    if (values != NULL)
+      memcpy(trial->measures[at], values[i], sizeof(values[i]));
+  }
+  free(values);
+  trial->n += row.n;
   return error;
 }
 
@@ -205,14 +238,14 @@ int mo_store_certificate_losses(struct mo_store *store, int64_t id, uint32_t num
                                 uint32_t n_designs, uint32_t n_environments, float *losses,
                                 double (*measures)[MO_MEASURES])
 {
-  static const char sql[] = "SELECT place,losses,measures FROM certificate_losses"
+  static const char sql[] = "SELECT trial,place,losses,measures FROM certificate_losses"
                             " WHERE job=?1 AND trial=?2 ORDER BY place";
   struct trial trial = {n_designs, n_environments, 0, losses, measures};
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id), mo_int(number));
   while (mo_sql_next(reader, row, &error))
-    error = read_losses(row, id, number, &trial);
+    error = add_row(row, id, &trial);
   return error == MO_OK && trial.n < (uint64_t)n_designs * n_environments ? MO_ERR_NOT_FOUND
                                                                           : error;
 }

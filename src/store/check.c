@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "store/certificate_rows.h"
 #include "store/controller_rows.h"
 #include "store/folder.h"
 #include "store/jobs.h"
@@ -196,6 +197,8 @@ static const struct part {
      "SELECT l.job,l.place,l.losses,c.n_environments,l.measures,l.origins FROM campaign_losses l"
      " JOIN campaigns c ON c.job=l.job",
      check_campaign_losses},
+    {"losses of a trial are damaged: certificate",
+     "SELECT job,trial,place,losses,measures FROM certificate_losses", mo_certificate_row_check},
     {"a mean loss is damaged: set_scores, genotype",
      "SELECT genotype,ranking,score,checksum FROM set_scores", check_mean},
     {"a job is damaged: jobs, row", "SELECT id FROM jobs WHERE state<>6", .check_in = check_job},

@@ -3,6 +3,7 @@
 #include "store/certificates.h"
 #include "by_hand.h"
 #include "one_store.h"
+#include "store/check.h"
 #include "store/controllers.h"
 #include "store/deletion.h"
 
@@ -175,21 +176,34 @@ static void forgets_losses_of_other_code(void)
   CHECK_OK(save_part(id, 0, 0, PART, true));
 }
 
+static void report(void *context, const char *finding)
+{
+  (void)context;
+  CHECK(strstr(finding, "losses of a trial are damaged: certificate 1") != NULL);
+}
+
 static void detects_damage(void)
 {
   static const char *const damage[] = {
       "UPDATE certificate_losses SET losses=zeroblob(length(losses))",
       "UPDATE certificate_losses SET losses=substr(losses,1,100)",
-      "UPDATE certificate_losses SET place=place+1", "UPDATE certificate_losses SET losses=x''",
-      "UPDATE certificate_losses SET measures=NULL"};
+      "UPDATE certificate_losses SET place=place+1",
+      "UPDATE certificate_losses SET losses=x''",
+      "UPDATE certificate_losses SET measures=NULL",
+      "DELETE FROM certificate_losses WHERE place=0"};
+  enum { ROWS = 4 }; /* the first ones damage rows */
   static float losses[DESIGNS * WORLDS];
   static double measures[DESIGNS * WORLDS][MO_MEASURES];
+  struct mo_check_counts counts;
   for (size_t i = 0; i < COUNT(damage); i++) {
     const int64_t id = start_certificate();
-    CHECK_OK(save_part(id, 0, 0, DESIGNS * WORLDS, true));
+    CHECK_OK(save_part(id, 0, 0, PART, true));
+    CHECK_OK(save_part(id, 0, PART, DESIGNS * WORLDS, true));
     REQUIRE_OK(reopen_after(damage[i]));
     CHECK_INT(mo_store_certificate_losses(store, id, 0, DESIGNS, WORLDS, losses, measures),
               MO_ERR_CORRUPT);
+    CHECK_OK(mo_store_check_contents(store, report, NULL, &counts));
+    CHECK_INT(counts.findings, i < ROWS ? 2 : 0); /* nothing is wrong with the other rows */
     start_over();
   }
 }
