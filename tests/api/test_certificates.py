@@ -136,7 +136,8 @@ def test_more_worlds_than_a_part(service):
         {"light_xy_m": [4, 2.5], "terrain_sigma_m": 0.05, "seed": seed} for seed in range(3))]
     ones = {name: [1, 1] for name in ("stiffness", "mass", "drag", "gravity", "actuation")}
     value = {"designs": bodies(service, 5), "axes": ["worlds"], "worlds": 66,
-             "environments": worlds, "ranges": ones | {"friction": [0.7, 0.7]}, "physics": {"n_steps": 80}}
+             "environments": worlds, "ranges": ones | {"friction": [0.7, 0.7]},
+             "physics": {"n_steps": 80}}
     _, report = certify(service, value)
     assert [row["environments"] for row in report["levels"]] == [5, 66]
     robots = [design["design"] for design in report["designs"]]
