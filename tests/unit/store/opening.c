@@ -2,6 +2,7 @@
 #include "by_hand.h"
 #include "one_store.h"
 #include "store/atlases.h"
+#include "store/certificates.h"
 #include "store/internal.h"
 #include "store/worlds.h"
 
@@ -100,7 +101,7 @@ static void opens_version_15(void)
 {
   struct mo_evaluation_request submission = draw_evaluation(2, 3);
   const int64_t old = submit_evaluation(&submission), open = submit_evaluation(&submission);
-  char sql[512];
+  char sql[640];
   REQUIRE(old > 0 && open > old);
   snprintf(sql, sizeof(sql),
            "INSERT INTO waiting_designs(job,first,bits,checksum) VALUES(%lld,0,x'00',0),"
@@ -378,6 +379,33 @@ static void opens_version_before_atlases(void)
   CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
 }
 
+/* Jobs of version 23 are read as before, and designs can be certified. */
+static void opens_version_before_certificates(void)
+{
+  const struct mo_evaluation_request evaluation = draw_evaluation(2, 3);
+  const int64_t old = submit_evaluation(&evaluation);
+  const struct mo_certificate_request request = {
+      .record = {.settings = mo_certificate_defaults(), .n_trials = 1, .n_rollouts = 30},
+      .physics = evaluation.physics,
+      .controller = evaluation.controller,
+      .genotypes = evaluation.genotypes,
+      .forms = evaluation.forms,
+      .n_designs = 3,
+      .environment_set = "paper-test"};
+  struct mo_certificate_status status;
+  int64_t id = 0;
+  bool replayed;
+  REQUIRE(old > 0);
+  REQUIRE_OK(reopen_after(WITHOUT_24 "PRAGMA user_version=23"));
+  CHECK_INT(job_of(old).kind, MO_JOB_EVALUATION);
+  REQUIRE_OK(mo_store_submit_certificate(store, &request, &id, &replayed));
+  REQUIRE_OK(mo_store_certificate(store, id, &status));
+  CHECK_INT(status.record.n_rollouts, 30);
+  CHECK_OK(check_whole());
+  close_store();
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+}
+
 static void names_of_atlases(void)
 {
   static const char *const good[] = {"a", "walk-10", "0", "a--b"}, *const bad[] = {
@@ -411,6 +439,7 @@ static const struct check_case cases[] = {
     {"opens a folder of version 19", opens_version_19},
     {"opens a folder from before suites", opens_version_before_suites},
     {"opens a folder from before atlases", opens_version_before_atlases},
+    {"opens a folder from before certificates", opens_version_before_certificates},
     {"checks the names of atlases", names_of_atlases},
     {"reports contradictions", reports_what_contradicts_itself},
 };
