@@ -69,10 +69,12 @@ struct run {
   size_t n_rows;
   uint32_t n_unsaved; /* 1: losses arrived that were not looked at */
   int64_t saved_us, every_us;
+  double pace; /* costs per second, as last known; 0: unknown */
 };
 
 /* ---- live figures ---- */
 
+/* Returns the time of a rollout of a trial, in those of the base. */
 static double cost_of(const struct run *run, const struct mo_trial *trial)
 {
   return (double)trial->physics.scheme.n_steps / run->base.physics.scheme.n_steps *
@@ -107,10 +109,12 @@ static void advance(struct run *run, double rollouts_per_s)
   live->total = record->n_rollouts;
   live->position = record->trials_done;
   live->last = record->n_trials;
-  if (rollouts_per_s > 0)
+  if (rollouts_per_s > 0 && now != NULL) {
     live->rate = rollouts_per_s;
-  if (live->rate > 0 && now != NULL)
-    live->seconds_left = left / (live->rate * cost_of(run, now));
+    run->pace = rollouts_per_s * cost_of(run, now);
+  }
+  if (run->pace > 0)
+    live->seconds_left = left / run->pace;
 }
 
 /* ---- saving ---- */
