@@ -101,7 +101,12 @@ void options_print_completion(FILE *file, const struct ctl *ctl)
   fputs("\" -- \"$word\")\n    return\n  fi\n  case \"$first $second\" in\n", file);
   for (size_t i = 0; i < ctl->n_commands; i++) {
     bool two = strchr(ctl->commands[i].name, ' ') != NULL;
+    const size_t n_name = strlen(ctl->commands[i].name);
     fprintf(file, "    \"%s\"%s) options=\"", ctl->commands[i].name, two ? "" : "\\ *");
+    for (size_t j = 0; j < ctl->n_commands && !two; j++)
+      if (strncmp(ctl->commands[j].name, ctl->commands[i].name, n_name) == 0 &&
+          ctl->commands[j].name[n_name] == ' ')
+        fprintf(file, "%s ", ctl->commands[j].name + n_name + 1);
     for (const struct option_spec *spec = ctl->commands[i].options;
          spec != NULL && spec->name != NULL; spec++)
       fprintf(file, "--%s ", spec->name);

@@ -2,6 +2,7 @@
 
 import json
 import re
+import subprocess
 
 import pytest
 from ctl import ctl  # noqa: F401
@@ -176,6 +177,20 @@ def test_usage(ctl, certified):
         status, _, err = ctl(f"certify {path} {command}")
         assert status == 6 and pointer in err, (command, status, err)
     assert ctl("certificate 999999")[0] == 3
+
+
+def test_completion(ctl):
+    """Commands that are also a group complete to both."""
+    script = ctl("completion")[1]
+    for line, expected in (("certif", "certify certificate"), ("certificate li", "list"),
+                           ("certificate --cs", "--csv"), ("certify --ra", "--ranges"),
+                           ("fleet dr", "drain"), ("job la", "label")):
+        words = line.split()
+        done = subprocess.run(
+            ["bash", "-c", f"{script}\nCOMP_WORDS=(morphoctl \"$@\")\nCOMP_CWORD={len(words)}\n"
+             "_morphoctl\necho ${COMPREPLY[*]}", "bash", *words],
+            capture_output=True, text=True, check=True)
+        assert done.stdout == f"{expected}\n", (line, done.stdout)
 
 
 def test_one_that_is_not_complete(service, ctl, certified):
