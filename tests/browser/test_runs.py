@@ -50,6 +50,21 @@ def test_builds_of_atlases_are_listed(browser, service):
     browser.until("document.querySelector('.runs tbody tr').innerText.includes('cancelled')")
 
 
+def test_certificates_are_listed(browser, service):
+    """Among all runs, by their kind, and among the running jobs, with their progress."""
+    request = SHORT | {"label": "a certificate", "experiment": "certificates",
+                       "physics": {"n_steps": 200000}}
+    id = service.post("/v1/certificates", request)["id"]
+    browser.open("runs?experiment=certificates")
+    names(browser, ["a certificate"])
+    assert "of 780 rollouts" in browser.texts(".runs tbody tr")[0]
+    browser.open("overview")
+    browser.until("document.querySelector('article h2')?.innerText === 'a certificate'")
+    service.act(id, "cancel")
+    browser.open("runs?kind=certificate&experiment=certificates&state=cancelled")
+    names(browser, ["a certificate"])
+
+
 def test_runs_are_filtered_and_sorted(browser, table):
     """A filter finds what the service has, not only what is loaded; an order is of all of it."""
     browser.open("runs?experiment=table")
