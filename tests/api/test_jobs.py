@@ -1,5 +1,5 @@
-"""What evaluations, trainings and campaigns have in common as jobs: lists, labels, keys, waiting,
-control, events, metrics, and unknown ids."""
+"""What evaluations, trainings, campaigns and certificates have in common as jobs: lists, labels,
+keys, waiting, control, events, metrics, and unknown ids."""
 
 import concurrent.futures
 import time
@@ -22,6 +22,7 @@ JOBS = {
     "evaluations": {"designs": [DESIGN], "physics": SHORT},
     "trainings": TRAINING,
     "campaigns": CAMPAIGN,
+    "certificates": {"designs": [DESIGN, BAR], "axes": ["friction"], "physics": SHORT},
 }
 PLATES = [{"cells": [[x, y, 0] for x in range(width) for y in range(depth)]}
           for width in range(1, 7) for depth in range(1, 7)]
@@ -29,6 +30,7 @@ LONG = {
     "evaluations": {"designs": PLATES, "physics": {"n_steps": 5000}, "priority": "batch"},
     "trainings": TRAINING | {"steps": 100000},
     "campaigns": CAMPAIGN | {"population": 16, "generations": 100000, "physics": {"n_steps": 300}},
+    "certificates": {"designs": PLATES, "axes": ["chance"], "physics": {"n_steps": 5000}},
 }
 BELOW = {
     "evaluations": ["", "/trajectories/0", "/trajectories/0/file"],
@@ -36,6 +38,7 @@ BELOW = {
     "campaigns": ["", "/generations", "/learning", "/replicates", "/population", "/designs/0",
                   "/designs/0/ancestors", "/designs/0/descendants", "/phylogeny", "/checkpoints",
                   "/phylogeny?format=csv", "/phylogeny?format=newick", "/champions"],
+    "certificates": ["", "/report", "/report.csv"],
 }
 COUNTED = {  # at least this much after one job
     "evaluations": {"morphod_rollouts_total": 10},
@@ -46,6 +49,8 @@ COUNTED = {  # at least this much after one job
                   "morphod_campaign_rollouts_total": 12, "morphod_campaigns_running": 0,
                   "morphod_campaign_learning_steps_total": 0,
                   "morphod_campaign_rollouts_cached_total": 0},
+    "certificates": {"morphod_certificate_rollouts_total": 100,
+                     "morphod_certificates_running": 0},
 }
 each_kind = pytest.mark.parametrize("kind", JOBS)
 
@@ -86,7 +91,8 @@ def test_lists(service, ended, kind):
     seen = [item["id"] for item in service.pages(f"/v1/{kind}", 3)]
     assert seen == sorted(set(seen), key=int, reverse=True) and done["id"] in seen
     listed = service.pages(f"/v1/{kind}?state=succeeded")
-    shown = service.get(f"/v1/jobs/{done['id']}") if kind == "evaluations" else done
+    is_brief = kind in ("evaluations", "certificates")
+    shown = service.get(f"/v1/jobs/{done['id']}") if is_brief else done
     for long in ("founders", "notes"):  # lists omit members that can be as long as a population
         shown.pop(long, None)
     assert shown in listed and "results" not in shown
@@ -213,7 +219,12 @@ def test_wait(service, kind):
 def position(job):
     """Returns the progress of a job."""
     of_kind = job.get(job["kind"], {})
-    return of_kind.get("step", of_kind.get("generation", job.get("rollouts_done")))
+    rollouts = of_kind.get("rollouts_done", job.get("rollouts_done"))
+    return of_kind.get("step", of_kind.get("generation", rollouts))
+
+
+def phase(job):
+    return job["phase"] if "phase" in job else job[job["kind"]]["phase"]
 
 
 @each_kind
@@ -230,8 +241,8 @@ def test_pause_resume_cancel(service, kind):
     for _ in range(2):
         assert service.act(job["id"], "pause").json()["state"] == "paused"
     if kind != "evaluations":
-        assert running["phase"] != "idle"
-        awaited(service, f"/v1/{kind}/{job['id']}", lambda value: value["phase"] == "idle")
+        assert phase(running) != "idle"
+        awaited(service, f"/v1/{kind}/{job['id']}", lambda value: phase(value) == "idle")
     paused = service.get(path)
     assert paused["state"] == "paused"
     for items in ("/v1/jobs", f"/v1/{kind}"):
