@@ -83,7 +83,8 @@ def test_of_a_training(service):
     assert service.request("POST", path + "/cancel").status == 200
     awaited(service, f"/v1/trainings/{training['id']}", lambda state: state["phase"] == "idle")
     seconds = worker_seconds(service)
-    assert set(seconds) == {"evaluation", "training", "campaign", "atlas"}
+    assert set(seconds) == {"evaluation", "training", "campaign", "atlas",
+                            "certificate"}
     assert seconds["training"] > 0
 
 
