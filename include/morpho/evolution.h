@@ -92,6 +92,38 @@ struct mo_selection {
                        layer */
 };
 
+/* How the losses of a design become its score. x₁ ≤ … ≤ xₙ: its losses over the n environments of
+ * the campaign in ascending order. Lower is better. In every kind, a score is +infinity if a loss
+ * is.
+ *   mean         (x₁ + … + xₙ) / n, added in the order of the environments
+ *   quantile     linear between order statistics: with h = 1 + level · (n − 1) and i = ⌊h⌋, it is
+ *                xᵢ + (h − i) · (xᵢ₊₁ − xᵢ). Level 0 is the least loss, 0.5 the median, 1 the worst
+ *   cvar         mean of the worst share 1 − level of the losses (conditional value at risk,
+ *                Rockafellar & Uryasev 2002, proposition 8). With k = ⌈level · n⌉, it is
+ *                ((k − level · n) · xₖ + xₖ₊₁ + … + xₙ) / (n − level · n). Level 0 is the mean, 1
+ *                the worst
+ *   mean-sd      mean + weight · s, where s is the standard deviation, with n − 1; 0 for n = 1 */
+enum mo_aggregate_kind {
+  MO_AGGREGATE_MEAN = 0,
+  MO_AGGREGATE_QUANTILE = 1,
+  MO_AGGREGATE_CVAR = 2,
+  MO_AGGREGATE_MEAN_SD = 3
+};
+extern const char *const mo_aggregate_words[]; /* "mean", "quantile", "cvar", "mean-sd", NULL */
+
+struct mo_aggregate {
+  enum mo_aggregate_kind kind;
+  double level;  /* of a quantile or cvar: 0 … 1; 0.9 */
+  double weight; /* of the standard deviation: 0 … 1000; 1 */
+};
+/* Computes a score from n ≤ MO_RACE_ENVIRONMENTS_MAX losses, none of them negative. NaN, a loss
+ * that was not computed, counts as 0. If mo_aggregate_is_monotone, a score with missing losses is
+ * therefore a lower bound of the complete score, bit for bit. */
+double mo_aggregate_score(const struct mo_aggregate *aggregate, const double *losses, uint32_t n);
+/* Returns whether a greater loss never gives a lower score, rounding included. A mean with a
+ * standard deviation is not monotone: a loss that rises toward the others lowers the deviation. */
+bool mo_aggregate_is_monotone(const struct mo_aggregate *aggregate);
+
 /* Whether children that cannot survive are scored in all environments (racing.c). The choice
  * changes no population, no birth, no death and no controller. */
 enum mo_racing { MO_RACING_LOSSLESS = 0, MO_RACING_OFF = 1 };
@@ -111,10 +143,11 @@ struct mo_campaign_settings {
   double mutation_growth; /* factor of the rate after each attempt that found nothing new; 1 …
                              2; 1.025 */
   struct mo_selection selection;
-  enum mo_racing racing;    /* lossless; has no effect if mo_race_is_possible returns false */
-  bool exclude_pretraining; /* count the controller's pretraining bodies as seen; true */
-  double collapse_share;    /* warn when diversity falls below this share of its maximum so far; 0:
-                               never; 0.5 */
+  struct mo_aggregate aggregate; /* mean */
+  enum mo_racing racing;         /* lossless; has no effect if mo_race_is_possible returns false */
+  bool exclude_pretraining;      /* count the controller's pretraining bodies as seen; true */
+  double collapse_share; /* warn when diversity falls below this share of its maximum so far; 0:
+                            never; 0.5 */
   /* Learning; ignored in modes that do not learn. A step's batch is `batch` robots, each in its own
    * random environment. */
   uint32_t parent_steps, child_steps; /* of each generation: on parents, then on children */
@@ -248,18 +281,20 @@ int mo_select(const struct mo_campaign_settings *settings, uint32_t generation,
 
 /* ---- racing: scoring of children stops once they cannot survive ---- */
 
-/* Losses are never negative, and rounded sums are monotone: the score of a design whose missing
- * losses count as 0 is a lower bound on its score, bit for bit. Under truncation, a child whose
- * lower bound is above the worst of N parents cannot survive, because N candidates are better.
- * Environments are scored in waves, the most informative first.
+/* Losses are never negative, and rounded means, quantiles and cvars are monotone (aggregate.c): the
+ * score of a design whose missing losses count as 0 is a lower bound on its score, bit for bit.
+ * Under truncation, a child whose lower bound is above the worst of N parents cannot survive,
+ * because N candidates are better. Environments are scored in waves, the most informative first.
  *
  * Only truncation allows such a bound. In a tournament, every candidate that did not diverge may
  * survive; novelty lets bad designs survive; in age layers, children compete with children first,
- * and there are never more than N of them. A study must report every score to its client. */
+ * and there are never more than N of them. A study must report every score to its client. A mean
+ * with a standard deviation is not monotone. */
 bool mo_race_is_possible(const struct mo_campaign_settings *settings);
 #define MO_RACE_WAVES_MAX 6
 struct mo_race {
   double bound; /* a child with a score above it cannot survive; +infinity: every child can */
+  struct mo_aggregate aggregate; /* that the scores are computed with */
   uint32_t n_environments;
   uint8_t order[MO_RACE_ENVIRONMENTS_MAX]; /* (n_environments) environments in the order of
                                               scoring */
@@ -282,6 +317,8 @@ int mo_race_saved(const struct mo_race *race, const double *losses, bool on_devi
  * rollouts at once, and is idle at the end of a wave while the next one waits for it.
  * parents_first: the first wave waits for the scores of parents. */
 uint32_t mo_race_lost(const struct mo_race *race, bool on_device, bool parents_first);
+/* Returns whether a child with these losses (NaN: not computed) cannot survive. */
+bool mo_race_is_lost(const struct mo_race *race, const double *losses);
 /* Computes the mean of n losses, in order; NaN, a loss that was not computed, counts as 0. */
 double mo_race_score(const double *losses, uint32_t n);
 

@@ -295,6 +295,36 @@ static void check_measures(struct mo_json *json, const struct mo_parsed_campaign
                      "race; request \"off\", or leave it out");
 }
 
+/* Checks how losses become scores. `racing` is negative if the request omits it. */
+static void check_aggregate(struct mo_json *json, const struct mo_parsed_campaign *parsed)
+{
+  const struct mo_campaign_record *record = &parsed->request.record;
+  const struct mo_aggregate *aggregate = &record->settings.aggregate;
+  const char *word = mo_aggregate_words[aggregate->kind];
+  if (aggregate->kind == MO_AGGREGATE_MEAN)
+    return;
+  if (record->select_by.is_set)
+    mo_json_fault_at(json, 0, "/aggregate",
+                     "with select_by, the score is the mean of a measure, which supports only "
+                     "\"mean\", got \"%s\"; give only one of them",
+                     word);
+  if (mo_own_score_is_set(&record->own_score))
+    mo_json_fault_at(json, 0, "/aggregate",
+                     "with own_score, the client computes the scores, so \"%s\" has no losses to "
+                     "apply to; give only one of them",
+                     word);
+  if (!mo_aggregate_is_monotone(aggregate) && (int)record->settings.racing == MO_RACING_LOSSLESS)
+    mo_json_fault_at(json, 0, "/racing",
+                     "a race needs lower bounds of scores, and \"%s\" has none, so the campaign "
+                     "cannot race; request \"off\", or leave it out",
+                     word);
+  if (aggregate->kind == MO_AGGREGATE_MEAN_SD && parsed->parts.environments != NULL &&
+      parsed->parts.n_environments == 1)
+    mo_json_fault_at(json, 0, "/aggregate",
+                     "one environment has no standard deviation; give at least two environments, "
+                     "or another aggregate");
+}
+
 /* Checks that if_exists is for a study, and that there is a label to find it by. */
 static void check_if_exists(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
@@ -386,6 +416,7 @@ static int check(struct mo_json *json, void *any)
                      mo_campaign_mode_words[settings->mode]);
   check_if_exists(json, parsed);
   check_measures(json, parsed);
+  check_aggregate(json, parsed);
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
     mo_json_fault_at(json, 0, "/generations",
                      "%u designs in each of %u generations and in the initial population make "
@@ -441,7 +472,10 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
   if ((int)record->worlds < 0)
     record->worlds = MO_WORLDS_RANDOM;
   if ((int)record->settings.racing < 0)
-    record->settings.racing = record->select_by.is_set ? MO_RACING_OFF : racing;
+    record->settings.racing =
+        record->select_by.is_set || !mo_aggregate_is_monotone(&record->settings.aggregate)
+            ? MO_RACING_OFF
+            : racing;
   if (record->select_by.is_set) {
     record->measures |= UINT32_C(1) << record->select_by.measure;
     mo_select_by_name(&record->select_by, &record->own_score);

@@ -1,8 +1,7 @@
 /* fields.c: see fields.h. */
 #include "evolution/fields.h"
 
-#include <stdio.h>
-
+#include "evolution/kinds.h"
 #include "learning/fields.h"
 #include "rollout/physics.h"
 
@@ -69,94 +68,63 @@ static const struct mo_field selection_rows[] = {
      .help = "age-layered: age limit of the youngest layer, in generations"},
 };
 #undef AT
-#define N_SELECTION_ROWS (sizeof(selection_rows) / sizeof(selection_rows[0]))
-static const struct mo_fields selection_fields = {selection_rows, N_SELECTION_ROWS};
-
-/* The rows of selection_rows for each kind, in addition to `kind`: from, n. */
-static const struct {
-  size_t from, n;
-} selection_own[] = {{1, 0}, {1, 1}, {2, 1}, {3, 2}};
-
-static bool has_row(enum mo_selection_kind kind, size_t row)
-{
-  return row == 0 || (row >= selection_own[kind].from &&
-                      row < selection_own[kind].from + selection_own[kind].n);
-}
-
-static void read_selection_object(struct mo_json *json, struct mo_selection *selection)
-{
-  struct mo_selection read = *selection;
-  bool given[N_SELECTION_ROWS] = {false};
-  const unsigned depth = json->depth, before = json->faults->n;
-  struct mo_json_slice key;
-  char list[MO_WORDS_BYTES], below[32];
-  mo_json_object(json);
-  while (mo_json_member(json, &key)) {
-    for (size_t i = 0; i < N_SELECTION_ROWS; i++)
-      given[i] |= mo_json_is(key, selection_rows[i].name);
-    if (!mo_fields_read_member(json, key, &selection_fields, &read))
-      mo_fields_unknown(json, NULL, &selection_fields);
-  }
-  if (json->stop)
-    return;
-  if (!given[0])
-    mo_json_fault_at(json, depth, "", "kind is missing: %s",
-                     mo_words_list(mo_selection_words, list));
-  if (!given[0] || json->faults->n > before)
-    return;
-  for (size_t i = 1; i < N_SELECTION_ROWS; i++)
-    if (given[i] && !has_row(read.kind, i)) {
-      snprintf(below, sizeof(below), "/%s", selection_rows[i].name);
-      mo_json_fault_at(json, depth, below, "selection by %s has no %s",
-                       mo_selection_words[read.kind], selection_rows[i].name);
-    }
-  if (json->faults->n == before)
-    *selection = read;
-}
+static const struct mo_kind_rows selection_own[] = {{1, 0}, {1, 1}, {2, 1}, {3, 2}};
+static const struct mo_kinds selection_kinds = {mo_selection_words, "selection by",
+                                                MO_FIELDS(selection_rows), selection_own};
 
 static void read_selection(struct mo_json *json, void *value)
 {
-  struct mo_selection *selection = value;
-  const enum mo_json_kind next = mo_json_peek(json);
-  const unsigned depth = json->depth;
-  struct mo_json_slice word;
-  char list[MO_WORDS_BYTES];
-  if (next == MO_JSON_OBJECT) {
-    read_selection_object(json, selection);
-    return;
-  }
-  if (next == MO_JSON_STRING && mo_json_string(json, &word))
-    for (int i = 0; mo_selection_words[i] != NULL; i++)
-      if (mo_json_is(word, mo_selection_words[i])) {
-        selection->kind = (enum mo_selection_kind)i;
-        return;
-      }
-  if (next == MO_JSON_NONE)
-    return;
-  mo_json_fault_at(json, depth, "", "must be %s, or an object with kind and its settings",
-                   mo_words_list(mo_selection_words, list));
-  if (next != MO_JSON_STRING)
-    mo_json_skip(json);
+  struct mo_selection read = *(const struct mo_selection *)value;
+  if (mo_kinds_read(json, &selection_kinds, &read))
+    *(struct mo_selection *)value = read;
 }
 
 static void write_selection(struct mo_text *text, const void *value)
 {
-  const struct mo_selection *selection = value;
-  struct mo_field rows[N_SELECTION_ROWS];
-  size_t n = 0;
-  for (size_t i = 0; i < N_SELECTION_ROWS; i++)
-    if (has_row(selection->kind, i))
-      rows[n++] = selection_rows[i];
-  const struct mo_fields own = {rows, n};
-  mo_fields_write_object(text, &own, selection);
+  mo_kinds_write(text, &selection_kinds, value);
 }
 
 static int check_selection(const char *name, const void *value, struct mo_message *message)
 {
-  return mo_fields_check(&selection_fields, name, value, message);
+  return mo_fields_check(&selection_kinds.fields, name, value, message);
 }
 
 static const struct mo_field_own selection = {read_selection, write_selection, check_selection};
+
+/* ---- aggregate: a word, or an object with the settings of its kind ---- */
+
+#define AT(member) offsetof(struct mo_aggregate, member)
+static const struct mo_field aggregate_rows[] = {
+    {"kind", MO_FIELD_WORD, 0, AT(kind), .words = mo_aggregate_words, .unit = "",
+     .help = "how the losses of a design become its score"},
+    {"level", MO_FIELD_NUMBER, 0, AT(level), .min = 0, .max = 1, .unit = "",
+     .help = "quantile: its level; cvar: the share of the losses that are not among the worst"},
+    {"weight", MO_FIELD_NUMBER, 0, AT(weight), .min = 0, .max = 1000, .unit = "",
+     .help = "mean-sd: weight of the standard deviation"},
+};
+#undef AT
+static const struct mo_kind_rows aggregate_own[] = {{1, 0}, {1, 1}, {1, 1}, {2, 1}};
+static const struct mo_kinds aggregate_kinds = {mo_aggregate_words, "the aggregate",
+                                                MO_FIELDS(aggregate_rows), aggregate_own};
+
+static void read_aggregate(struct mo_json *json, void *value)
+{
+  struct mo_aggregate read = *(const struct mo_aggregate *)value;
+  if (mo_kinds_read(json, &aggregate_kinds, &read))
+    *(struct mo_aggregate *)value = read;
+}
+
+static void write_aggregate(struct mo_text *text, const void *value)
+{
+  mo_kinds_write(text, &aggregate_kinds, value);
+}
+
+static int check_aggregate(const char *name, const void *value, struct mo_message *message)
+{
+  return mo_fields_check(&aggregate_kinds.fields, name, value, message);
+}
+
+static const struct mo_field_own aggregate = {read_aggregate, write_aggregate, check_aggregate};
 
 /* ---- campaigns ---- */
 
@@ -181,8 +149,8 @@ static const struct mo_field campaign_rows[] = {
      .help = "box that bodies must fit: [nx, ny, nz]"},
     {"mutation", MO_FIELD_GROUP, 0, 0, .group = &mutation_fields, .unit = "",
      .help = "how designs mutate"},
-    {"selection", MO_FIELD_OWN, 0, AT(selection), .group = &selection_fields, .own = &selection,
-     .unit = "", .help = "who lives: a kind, or an object with its settings"},
+    {"selection", MO_FIELD_OWN, 0, AT(selection), .group = &selection_kinds.fields,
+     .own = &selection, .unit = "", .help = "who lives: a kind, or an object with its settings"},
     {"racing", MO_FIELD_WORD, 0, AT(racing), .words = mo_racing_words, .unit = "",
      .help = "whether the scores of children that cannot survive are cut short"},
     {"exclude_pretraining", MO_FIELD_FLAG, 0, AT(exclude_pretraining), .unit = "",
@@ -193,6 +161,12 @@ static const struct mo_field campaign_rows[] = {
      .help = "constants of the world"},
 };
 const struct mo_fields mo_campaign_fields = MO_FIELDS(campaign_rows);
+static const struct mo_field campaign_aggregate_rows[] = {
+    {"aggregate", MO_FIELD_OWN, 0, AT(aggregate), .group = &aggregate_kinds.fields,
+     .own = &aggregate, .unit = "",
+     .help = "how losses become a score: a kind, or an object with its settings"},
+};
+const struct mo_fields mo_campaign_aggregate_fields = MO_FIELDS(campaign_aggregate_rows);
 static const struct mo_field learning_rows[] = {
     {"parent_steps", MO_FIELD_COUNT, 0, AT(parent_steps), .min = 0, .max = MO_CAMPAIGN_STEPS_MAX,
      .unit = "steps", .help = "steps of learning on the parents in each generation"},

@@ -8,6 +8,9 @@
 
 /* For struct mo_campaign_settings: population, variation, selection, physics. */
 extern const struct mo_fields mo_campaign_fields;
+/* For the same struct: `aggregate` alone. It is not stored with campaigns that score by the mean.
+ */
+extern const struct mo_fields mo_campaign_aggregate_fields;
 /* For the same struct: the settings that only campaigns with learning have, including the members
  * of `learning`. */
 extern const struct mo_fields mo_campaign_learning_fields;

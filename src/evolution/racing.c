@@ -19,15 +19,13 @@
 bool mo_race_is_possible(const struct mo_campaign_settings *settings)
 {
   return settings->racing == MO_RACING_LOSSLESS && mo_modes[settings->mode].makes_children &&
-         settings->selection.kind == MO_SELECT_TRUNCATION;
+         settings->selection.kind == MO_SELECT_TRUNCATION &&
+         mo_aggregate_is_monotone(&settings->aggregate);
 }
 
-double mo_race_score(const double *losses, uint32_t n)
+bool mo_race_is_lost(const struct mo_race *race, const double *losses)
 {
-  double sum = 0;
-  for (uint32_t k = 0; k < n; k++)
-    sum += isnan(losses[k]) ? 0 : losses[k];
-  return sum / n;
+  return mo_aggregate_score(&race->aggregate, losses, race->n_environments) > race->bound;
 }
 
 /* Returns the variance of the parents' losses in an environment. Diverged and unknown losses are
@@ -80,7 +78,10 @@ void mo_race_plan(const struct mo_campaign_settings *settings, const double *los
   /* More waves would cost more time in blocks than they save in rollouts: of all divisions of ten
    * environments, 2 + 8 takes the least time (docs/performance.md). */
   static const uint8_t sizes[MO_RACE_WAVES_MAX] = {2, 8, 16, 16, 16, 16};
-  *race = (struct mo_race){.bound = INFINITY, .n_environments = n_environments, .is_whole = !pays};
+  *race = (struct mo_race){.bound = INFINITY,
+                           .aggregate = settings->aggregate,
+                           .n_environments = n_environments,
+                           .is_whole = !pays};
   if (n_parents >= settings->population) {
     race->bound = -INFINITY;
     for (uint32_t i = 0; i < n_parents; i++)
@@ -117,7 +118,7 @@ int mo_race_saved(const struct mo_race *race, const double *losses, bool on_devi
       is_cut = is_cut || isnan(losses[race->order[n]]);
     }
     raced += is_cut ? 0 : time_of(n - first, on_device);
-    if (is_cut || mo_race_score(known, race->n_environments) > race->bound)
+    if (is_cut || mo_race_is_lost(race, known))
       break;
   }
   return time_of(race->n_environments, on_device) - raced;

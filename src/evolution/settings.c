@@ -54,6 +54,7 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
                     .novelty_weight = 0.5,
                     .n_layers = 4,
                     .age_gap = 5},
+      .aggregate = {.kind = MO_AGGREGATE_MEAN, .level = 0.9, .weight = 1},
       .exclude_pretraining = mo_modes[m].makes_children,
       .collapse_share = 0.5,
       .parent_steps = mo_modes[m].steps,
@@ -125,6 +126,8 @@ int mo_campaign_settings_check(const struct mo_campaign_settings *settings,
                    "%d",
                    (int)settings->mode);
   int r = mo_fields_check(&mo_campaign_fields, "", settings, message);
+  if (r == MO_OK)
+    r = mo_fields_check(&mo_campaign_aggregate_fields, "", settings, message);
   if (r == MO_OK)
     r = mo_physics_check(&settings->physics, message);
   if (r == MO_OK)

@@ -1,5 +1,5 @@
 /* bundle_scores.c: see bundle_scores.h. The lines of a design have each loss of a class once, and
- * the score of the design is the mean of its losses, bit for bit.
+ * the score of the design follows from its losses, bit for bit.
  *
  * Older programs wrote a loss twice if two blocks of their store had it. Therefore a limited number
  * of lines may repeat an earlier line from another block. */
@@ -28,6 +28,7 @@ struct class {
 struct mo_bundle_scores {
   uint32_t n_environments, measures; /* measures: of the campaign, as bits */
   bool selects_by_measure;
+  struct mo_aggregate aggregate;
   uint32_t same[MO_ENVIRONMENTS_MAX]; /* the first place with the same environment */
   uint32_t number, n, n_again;        /* n: classes */
   struct class classes[CLASSES];
@@ -50,6 +51,7 @@ void mo_bundle_scores_open(struct mo_bundle_scores *scores,
   scores->n_environments = campaign->record.n_environments;
   scores->measures = campaign->record.measures;
   scores->selects_by_measure = campaign->record.select_by.is_set;
+  scores->aggregate = campaign->record.settings.aggregate;
   for (uint32_t k = 0; k < scores->n_environments; k++) {
     uint32_t i = 0;
     mo_environment_hash(&campaign->environments[k], &hashes[k]);
@@ -123,22 +125,21 @@ int mo_bundle_scores_add(struct mo_bundle_scores *scores, const struct mo_campai
   return is_new;
 }
 
-/* Returns the mean of the losses, added in the order of the environments, as in campaigns
- * (mo_race_score). Uses the losses of class `a`, or of class `b` where `a` has none. */
-static double mean_of(const struct mo_bundle_scores *scores, const struct class *a,
-                      const struct class *b, bool *is_whole)
+/* Returns the score that follows from the losses, in the order of the environments, as in campaigns
+ * (mo_aggregate_score). Uses the losses of class `a`, or of class `b` where `a` has none. */
+static double score_of(const struct mo_bundle_scores *scores, const struct class *a,
+                       const struct class *b, bool *is_whole)
 {
-  double sum = 0;
+  double losses[MO_ENVIRONMENTS_MAX];
   *is_whole = true;
   for (uint32_t k = 0; k < scores->n_environments; k++) {
     const uint32_t place = scores->same[k];
     const struct class *class = a->known >> place & 1 ? a : b;
-    if (class->known >> place & 1)
-      sum += class->losses[place];
-    else
-      *is_whole = false;
+    const bool is_known = class->known >> place & 1;
+    losses[k] = is_known ? class->losses[place] : NAN;
+    *is_whole = *is_whole && is_known;
   }
-  return sum / scores->n_environments;
+  return mo_aggregate_score(&scores->aggregate, losses, scores->n_environments);
 }
 
 /* Returns whether the measures of a class have these means. */
@@ -180,13 +181,13 @@ int mo_bundle_scores_end(const struct mo_bundle_scores *scores, double score, bo
     return MO_OK;
   for (uint32_t a = 0; a < scores->n; a++)
     for (uint32_t b = 0; b < scores->n; b++) {
-      const double mean = mean_of(scores, &scores->classes[a], &scores->classes[b], &is_whole);
+      const double own = score_of(scores, &scores->classes[a], &scores->classes[b], &is_whole);
       /* A child is cut short once its score exceeds the bound or is infinite. Other jobs may have
        * computed more of its losses. */
-      if ((is_cut && mean >= score) || (same_bits(mean, score) && (is_whole || isinf(mean))))
+      if ((is_cut && own >= score) || (same_bits(own, score) && (is_whole || isinf(own))))
         return MO_OK;
     }
   return mo_fail(message, MO_ERR_FORMAT,
-                 "the score of design %u, %.17g, is not the mean of its losses", scores->number,
-                 score);
+                 "the score of design %u, %.17g, is not the %s of its losses", scores->number,
+                 score, mo_aggregate_words[scores->aggregate.kind]);
 }

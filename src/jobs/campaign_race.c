@@ -42,7 +42,8 @@ static void plan(struct mo_campaign_run *run)
   struct mo_campaign_rows *rows = run->rows;
   for (uint32_t i = 0; i < n_scored; i++) { /* they have learned, and get new losses */
     memcpy(rows->parent_losses + (size_t)i * n, run->scores.losses[i].losses, n * sizeof(double));
-    rows->scores[i] = mo_race_score(run->scores.losses[i].losses, n);
+    rows->scores[i] =
+        mo_aggregate_score(&run->settings->aggregate, run->scores.losses[i].losses, n);
   }
   mo_race_plan(run->settings, rows->parent_losses, rows->scores, run->n_parents, n, run->race.pays,
                &run->race.plan);
@@ -70,7 +71,7 @@ static bool advance_child(struct mo_campaign_run *run, uint32_t place)
   const uint32_t wave = next_wave(run, place);
   if (wave == run->race.plan.n_waves)
     return false;
-  if (mo_race_score(run->scores.losses[place].losses, run->n_environments) > run->race.plan.bound) {
+  if (mo_race_is_lost(&run->race.plan, run->scores.losses[place].losses)) {
     mo_grid_finish_design(&run->scores.scoring.grid, place);
     return true;
   }

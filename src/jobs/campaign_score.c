@@ -304,9 +304,9 @@ static void read_measures(struct mo_campaign_run *run)
   }
 }
 
-/* Computes each score as the mean over the environments, or infinity if a rollout diverged. For a
- * child that was cut short, the score is a lower bound. A study may have an own score: its client
- * has sent it, and the losses are only stored. */
+/* Computes each score from the losses over the environments; it is infinity if a rollout diverged.
+ * For a child that was cut short, the score is a lower bound. A study may have an own score: its
+ * client has sent it, and the losses are only stored. */
 static void read_scores(struct mo_campaign_run *run)
 {
   const struct mo_campaign_scores *scores = &run->scores;
@@ -324,7 +324,8 @@ static void read_scores(struct mo_campaign_run *run)
   }
   for (uint32_t i = 0; i < scores->n; i++) {
     const struct mo_campaign_loss *loss = &scores->losses[i];
-    const double score = mo_race_score(loss->losses, run->n_environments);
+    const double score =
+        mo_aggregate_score(&run->settings->aggregate, loss->losses, run->n_environments);
     bool is_whole = true;
     for (uint32_t k = 0; k < run->n_environments; k++)
       is_whole = is_whole && !isnan(loss->losses[k]);

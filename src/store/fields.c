@@ -67,6 +67,7 @@ static const struct mo_field campaign_rows[] = {
      .help = "measures to compute for each design, in addition to its score"},
     {"select_by", MO_FIELD_OWN, 0, AT(select_by), .group = &mo_select_by_fields,
      .own = &mo_select_by_field, .unit = "", .help = "the measure to select by; null: the loss"},
+    {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_aggregate_fields},
 };
 const struct mo_fields mo_campaign_record_fields = MO_FIELDS(campaign_rows);
 const char *const mo_worlds_words[] = {"random", "environments", NULL};
@@ -90,66 +91,56 @@ static const struct mo_field stored_campaign_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_fields},
     {"learning", MO_FIELD_GROUP, 0, 0, .group = &stored_learning, .unit = "", .help = ""},
 };
-static const struct mo_field own_score_rows[] = {
-    {NULL, MO_FIELD_INLINE, 0, 0,
-     .group = &(const struct mo_fields)MO_FIELDS(stored_campaign_rows)},
-    {"own_score", MO_FIELD_OWN, 0, AT(own_score), .group = &mo_own_score_fields,
-     .own = &mo_own_score_field, .unit = "", .help = ""},
+enum { STORED, OWN_SCORE, MEASURES, SELECT_BY, WORLDS, AGGREGATE, N_STORED_ROWS };
+static const struct mo_field all_stored_rows[N_STORED_ROWS] = {
+    [STORED] = {NULL, MO_FIELD_INLINE, 0, 0,
+                .group = &(const struct mo_fields)MO_FIELDS(stored_campaign_rows)},
+    [OWN_SCORE] = {"own_score", MO_FIELD_OWN, 0, AT(own_score), .group = &mo_own_score_fields,
+                   .own = &mo_own_score_field, .unit = "", .help = ""},
+    [MEASURES] = {"measures", MO_FIELD_OWN, 0, AT(measures), .own = &mo_measures_field, .unit = "",
+                  .help = ""},
+    [SELECT_BY] = {"select_by", MO_FIELD_OWN, 0, AT(select_by), .group = &mo_select_by_fields,
+                   .own = &mo_select_by_field, .unit = "", .help = ""},
+    [WORLDS] = {"learning_worlds", MO_FIELD_WORD, 0, AT(worlds), .words = mo_worlds_words,
+                .unit = "", .help = ""},
+    [AGGREGATE] = {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_aggregate_fields},
 };
-static const struct mo_field measured_rows[] = {
-    {NULL, MO_FIELD_INLINE, 0, 0, .group = &(const struct mo_fields)MO_FIELDS(own_score_rows)},
-    {"measures", MO_FIELD_OWN, 0, AT(measures), .own = &mo_measures_field, .unit = "", .help = ""},
-    {"select_by", MO_FIELD_OWN, 0, AT(select_by), .group = &mo_select_by_fields,
-     .own = &mo_select_by_field, .unit = "", .help = ""},
-};
-#define WORLDS                                                                                     \
-  {                                                                                                \
-    "learning_worlds", MO_FIELD_WORD, 0, AT(worlds), .words = mo_worlds_words, .unit = "",         \
-                                                     .help = ""                                    \
-  }
-static const struct mo_field worlds_rows[] = {
-    {NULL, MO_FIELD_INLINE, 0, 0,
-     .group = &(const struct mo_fields)MO_FIELDS(stored_campaign_rows)},
-    WORLDS,
-};
-static const struct mo_field measured_worlds_rows[] = {
-    {NULL, MO_FIELD_INLINE, 0, 0, .group = &(const struct mo_fields)MO_FIELDS(measured_rows)},
-    WORLDS,
-};
+static const struct mo_fields all_stored = MO_FIELDS(all_stored_rows);
 #undef AT
 
 /* ---- in the database ---- */
 
-/* By kind of job. */
-static const struct mo_fields stored_fields[MO_JOB_KINDS] = {
-    [MO_JOB_TRAINING] = MO_FIELDS(stored_training_rows),
-    [MO_JOB_CAMPAIGN] = MO_FIELDS(stored_campaign_rows)};
+static const struct mo_fields stored_training = MO_FIELDS(stored_training_rows);
 
-/* Of a study whose client computes the scores, of campaigns with measures, and of campaigns that
- * learn in their environments. The settings of all others keep the form that they always had, in
- * which bundles have them, too. */
-static const struct mo_fields own_score_fields = MO_FIELDS(own_score_rows);
-static const struct mo_fields measured_fields = MO_FIELDS(measured_rows);
-static const struct mo_fields worlds_fields = MO_FIELDS(worlds_rows);
-static const struct mo_fields measured_worlds_fields = MO_FIELDS(measured_worlds_rows);
-
-static const struct mo_fields *fields_of(const struct mo_campaign_record *record)
+/* Writes only members that the campaign uses: the settings of all others keep the form that they
+ * always had, in which bundles have them, too. */
+static void write_campaign(const struct mo_campaign_record *record, struct mo_text *text)
 {
-  if (record->worlds != MO_WORLDS_RANDOM)
-    return record->measures != 0 ? &measured_worlds_fields : &worlds_fields;
-  return record->measures != 0                     ? &measured_fields
-         : mo_own_score_is_set(&record->own_score) ? &own_score_fields
-                                                   : &stored_fields[MO_JOB_CAMPAIGN];
+  const bool measured = record->measures != 0;
+  const bool has[N_STORED_ROWS] = {
+      [STORED] = true,
+      [OWN_SCORE] = measured || mo_own_score_is_set(&record->own_score),
+      [MEASURES] = measured,
+      [SELECT_BY] = measured,
+      [WORLDS] = record->worlds != MO_WORLDS_RANDOM,
+      [AGGREGATE] = record->settings.aggregate.kind != MO_AGGREGATE_MEAN,
+  };
+  struct mo_field rows[N_STORED_ROWS];
+  size_t n = 0;
+  for (size_t i = 0; i < N_STORED_ROWS; i++)
+    if (has[i])
+      rows[n++] = all_stored_rows[i];
+  mo_fields_write_object(text, &(const struct mo_fields){rows, n}, record);
 }
 
 void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text)
 {
-  const struct mo_fields *fields = &stored_fields[kind];
+  const bool has_own =
+      kind == MO_JOB_TRAINING && ((const struct mo_training_record *)record)->n_environments > 0;
   if (kind == MO_JOB_CAMPAIGN)
-    fields = fields_of(record);
-  if (kind == MO_JOB_TRAINING && ((const struct mo_training_record *)record)->n_environments > 0)
-    fields = &stored_own;
-  mo_fields_write_object(text, fields, record);
+    write_campaign(record, text);
+  else
+    mo_fields_write_object(text, has_own ? &stored_own : &stored_training, record);
 }
 
 static int read_stored(const char *json, const struct mo_fields *fields, void *record)
@@ -160,10 +151,16 @@ static int read_stored(const char *json, const struct mo_fields *fields, void *r
 }
 
 /* Only a campaign that learns has worlds to learn in. Only a study has an own score, unless it
- * follows from the measure to select by, which is among the measures. */
+ * follows from the measure to select by, which is among the measures. An own score has no
+ * aggregate, and without lower bounds, racing is off. */
 static bool is_consistent(const struct mo_campaign_record *record)
 {
+  const struct mo_aggregate *aggregate = &record->settings.aggregate;
   struct mo_own_score own;
+  if (aggregate->kind != MO_AGGREGATE_MEAN && mo_own_score_is_set(&record->own_score))
+    return false;
+  if (!mo_aggregate_is_monotone(aggregate) && record->settings.racing != MO_RACING_OFF)
+    return false;
   if (record->worlds != MO_WORLDS_RANDOM && !mo_modes[record->settings.mode].learns)
     return false;
   if (!record->select_by.is_set)
@@ -196,6 +193,6 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
   campaign->measures = 0;
   campaign->select_by = (struct mo_select_by){.is_set = false};
   campaign->worlds = MO_WORLDS_RANDOM;
-  const int error = read_stored(json, &measured_worlds_fields, campaign);
+  const int error = read_stored(json, &all_stored, campaign);
   return error == MO_OK && !is_consistent(campaign) ? MO_ERR_CORRUPT : error;
 }

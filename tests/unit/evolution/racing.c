@@ -40,17 +40,17 @@ static double race_child(const struct mo_race *race, const double *all, uint32_t
     for (; *needed < race->ends[wave]; (*needed)++)
       known[race->order[*needed]] = all[race->order[*needed]];
     blocks += (*needed - first + 15) / 16;
-    if (mo_race_score(known, race->n_environments) > race->bound)
+    if (mo_race_is_lost(race, known))
       break;
   }
   const int saved = (int)(race->n_environments + 2 * whole) - (int)(*needed + 2 * blocks);
   CHECK_INT(mo_race_saved(race, known, false), saved);
   CHECK_INT(mo_race_saved(race, all, false), saved);
   CHECK_INT(mo_race_saved(race, known, true), (int)(race->n_environments - *needed));
-  return mo_race_score(known, race->n_environments);
+  return mo_aggregate_score(&race->aggregate, known, race->n_environments);
 }
 
-static void same_survivors(void)
+static void same_survivors_by(enum mo_aggregate_kind kind)
 {
   uint64_t genotypes[2 * N * 3] = {0};
   uint64_t computed = 0, all = 0;
@@ -58,7 +58,8 @@ static void same_survivors(void)
     struct mo_random random;
     mo_random_init(&random, 3, MO_PURPOSE_CHECK, round, 0);
     const uint32_t e = 1 + mo_random_below(&random, MO_RACE_ENVIRONMENTS_MAX);
-    const struct mo_campaign_settings settings = settings_of(N);
+    struct mo_campaign_settings settings = settings_of(N);
+    settings.aggregate = (struct mo_aggregate){kind, 0.1 * (round % 11), 0};
     struct mo_candidate full[2 * N], raced[2 * N];
     uint32_t survivors[2][N], n[2];
     double packed[N * MO_RACE_ENVIRONMENTS_MAX], scores[N];
@@ -67,7 +68,8 @@ static void same_survivors(void)
       const double talent = i < N ? 1 : 1 + mo_random_uniform(&random);
       for (uint32_t k = 0; k < e; k++)
         losses[i][k] = talent * draw(&random, round);
-      full[i] = (struct mo_candidate){mo_race_score(losses[i], e), i, i / N};
+      full[i] =
+          (struct mo_candidate){mo_aggregate_score(&settings.aggregate, losses[i], e), i, i / N};
       if (i < N)
         scores[i] = full[i].score;
       for (uint32_t k = 0; k < e && i < N; k++)
@@ -89,8 +91,16 @@ static void same_survivors(void)
     for (uint32_t i = 0; i < n[0]; i++)
       CHECK(raced[survivors[0][i]].score == full[survivors[0][i]].score);
   }
-  printf("# %.3f of the rollouts of children\n", (double)computed / (double)all);
+  printf("# %s: %.3f of the rollouts of children\n", mo_aggregate_words[kind],
+         (double)computed / (double)all);
   CHECK(computed < all);
+}
+
+static void same_survivors(void)
+{
+  same_survivors_by(MO_AGGREGATE_MEAN);
+  same_survivors_by(MO_AGGREGATE_QUANTILE);
+  same_survivors_by(MO_AGGREGATE_CVAR);
 }
 
 static void plans(void)

@@ -109,6 +109,51 @@ static void names_the_worlds_of_learning(void)
   mo_text_free(&text);
 }
 
+/* Only a campaign that does not score by the mean has an aggregate; the settings of others keep
+ * their form. An own score has none, and without lower bounds, racing is off. */
+static void names_the_aggregate(void)
+{
+  static const char *const words[] = {
+      "\"aggregate\":{\"kind\":\"quantile\",\"level\":0.75}}",
+      "\"aggregate\":{\"kind\":\"cvar\",\"level\":0.75}}",
+      "\"aggregate\":{\"kind\":\"mean-sd\",\"weight\":2.5}}",
+  };
+  struct mo_campaign_record record = {.settings = mo_campaign_preset(MO_FEW_SHOT, MO_PRESET_DEMO),
+                                      .worlds = MO_WORLDS_ENVIRONMENTS,
+                                      .measures = 1U << MO_MEASURE_WORK};
+  struct mo_campaign_record back = {.settings.aggregate.kind = MO_AGGREGATE_CVAR};
+  struct mo_text text;
+  write_settings(&record, &text);
+  CHECK(strstr(text.data, "aggregate") == NULL);
+  CHECK(strstr(text.data, ",\"own_score\":null,\"measures\":[\"work_j\"],\"select_by\":null,"
+                          "\"learning_worlds\":\"environments\"}") != NULL);
+  CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back));
+  CHECK_INT(back.settings.aggregate.kind, MO_AGGREGATE_MEAN);
+  CHECK(back.settings.aggregate.level == 0.9 && back.settings.aggregate.weight == 1);
+  mo_text_free(&text);
+  for (int kind = MO_AGGREGATE_QUANTILE; kind <= MO_AGGREGATE_MEAN_SD; kind++) {
+    const bool races = kind != MO_AGGREGATE_MEAN_SD;
+    record.settings.aggregate = (struct mo_aggregate){(enum mo_aggregate_kind)kind, 0.75, 2.5};
+    record.settings.racing = races ? MO_RACING_LOSSLESS : MO_RACING_OFF;
+    write_settings(&record, &text);
+    CHECK(strstr(text.data, words[kind - 1]) != NULL);
+    CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back));
+    CHECK(same_as(&back.settings, &record.settings));
+    CHECK_INT(back.settings.aggregate.kind, kind);
+    mo_text_free(&text);
+  }
+  record.settings.racing = MO_RACING_LOSSLESS;
+  write_settings(&record, &text);
+  CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back), MO_ERR_CORRUPT);
+  mo_text_free(&text);
+  record = (struct mo_campaign_record){.settings = mo_campaign_preset(MO_STUDY, MO_PRESET_DEMO),
+                                       .own_score = {"effort", "J"}};
+  record.settings.aggregate.kind = MO_AGGREGATE_CVAR;
+  write_settings(&record, &text);
+  CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back), MO_ERR_CORRUPT);
+  mo_text_free(&text);
+}
+
 /* An older program stored no settings that it did not have. They were the paper's. */
 static void keeps_the_physics_of_older_jobs(void)
 {
@@ -489,6 +534,7 @@ static const struct check_case cases[] = {
     {"encodes every setting", encodes_every_setting},
     {"names the score of a study", names_the_score_of_a_study},
     {"names the worlds of learning", names_the_worlds_of_learning},
+    {"names the aggregate", names_the_aggregate},
     {"keeps the physics of older jobs", keeps_the_physics_of_older_jobs},
     {"refuses invalid requests", refuses_what_cannot_be},
     {"starts replicates", starts_replicates},
