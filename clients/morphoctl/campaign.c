@@ -208,6 +208,9 @@ static void print(struct live *live)
       {"own score", "[{study.own_score.name}[ in {study.own_score.unit}], from the study's "
                     "client, not computed by the service]"},
       {"selects by", "[{settings.select_by.measure}, {settings.select_by.direction}]"},
+      {"aggregate",
+       "[{settings.aggregate.kind!=mean}[, level {settings.aggregate.level:g}|, weight "
+       "{settings.aggregate.weight:g}]: how losses become a score]"},
       {"measures", "[{measured}]"},
       {"learning", "[{settings.learning.parent_steps} + {settings.learning.child_steps} steps a "
                    "generation, {settings.learning.schedule.kind} from "

@@ -1,5 +1,6 @@
 /* cmd_campaign.c: campaign start, extend, champions, export. */
 #include <inttypes.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -50,6 +51,29 @@ static void fill_select_by(const struct ctl *ctl, json_t *request)
       json_pack("{s:s%, s:s}", "measure", text, (size_t)(comma - text), "direction", comma + 1));
 }
 
+/* Adds how losses become scores, as KIND or KIND:NUMBER. */
+static void fill_aggregate(const struct ctl *ctl, json_t *request)
+{
+  const char *text = option_text(ctl, "aggregate", NULL);
+  const char *colon = text != NULL ? strchr(text, ':') : NULL;
+  char *end = NULL;
+  if (text == NULL)
+    return;
+  json_t *aggregate = colon != NULL ? json_pack("{s:s%}", "kind", text, (size_t)(colon - text))
+                                    : json_pack("{s:s}", "kind", text);
+  const double number = colon != NULL ? strtod(colon + 1, &end) : 0;
+  if (aggregate == NULL ||
+      (colon != NULL && (colon[1] == '\0' || *end != '\0' || !isfinite(number))))
+    fail(STATUS_USAGE,
+         "--aggregate: \"%s\" is not a kind, or a kind and a number, e.g. cvar:0.9 or mean-sd:1",
+         text);
+  if (colon != NULL)
+    json_object_set_new(aggregate,
+                        strncmp(text, "mean-sd:", strlen("mean-sd:")) == 0 ? "weight" : "level",
+                        json_real(number));
+  json_object_set_new(request, "aggregate", aggregate);
+}
+
 void run_campaign_start(struct ctl *ctl)
 {
   json_t *request = json_pack("{s:s}", "mode", ctl->operands[0]);
@@ -61,6 +85,7 @@ void run_campaign_start(struct ctl *ctl)
   fill_initial(ctl, request);
   request_fill_measures(ctl, request);
   fill_select_by(ctl, request);
+  fill_aggregate(ctl, request);
   request_fill(ctl, request);
   if (controller != NULL && strcmp(controller, "random") == 0)
     json_object_set_new(request, "controller", json_null());

@@ -1,7 +1,7 @@
 /* cmd_campaign_compare.c: campaign compare: compares campaigns by their best scores at the newest
  * generation that all of them have reached. A campaign and its replicates form one side; their
- * spread gives the interval. Scores under different physics or environments are not comparable, so
- * these are refused; other different settings are listed. */
+ * spread gives the interval. Scores under different physics, environments or aggregates are not
+ * comparable, so these are refused; other different settings are listed. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
@@ -97,7 +97,8 @@ static void add_differences(struct side *side, const json_t *first, const json_t
   json_array_foreach(found, i, one)
   {
     const char *setting = text_of(one, "setting");
-    if (strncmp(setting, "own_score", strlen("own_score")) == 0)
+    if (strncmp(setting, "own_score", strlen("own_score")) == 0 ||
+        strncmp(setting, "settings.aggregate", strlen("settings.aggregate")) == 0)
       fail(STATUS_NEGATIVE,
            "campaigns %s and %s have different settings for %s (%s, %s), so their scores are not "
            "comparable. Evaluate the champions of both instead: morphoctl campaign champions, then "

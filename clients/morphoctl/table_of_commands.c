@@ -238,6 +238,11 @@ static const struct option_spec campaign_start_options[] = {
      "displacement_m,air_share,work_j. Tables of designs have the means."},
     {"select-by", 0, "MEASURE,max|min",
      "Select by the mean of a measure, such as displacement_m,max, not by the loss."},
+    {"aggregate", 0, "KIND[:NUMBER]",
+     "How the losses of a design over the environments become its score: mean (default), "
+     "quantile:LEVEL (default: 0.9), cvar:LEVEL (mean of the worst 1 - LEVEL of the losses; "
+     "default: 0.9), mean-sd:WEIGHT (mean plus WEIGHT standard deviations, default: 1; no "
+     "racing)."},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
     {"no-exclusions", 0, NULL, "Allow bodies that the controller was pretrained on."},
     {"schedule", 0, "NAME",

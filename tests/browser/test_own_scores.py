@@ -3,6 +3,7 @@
 import pytest
 
 from conftest import CAMPAIGN
+from service import await_end
 
 OWN = {"name": "speed_lost", "unit": "m/s"}
 BODIES = [{"cells": [[x, 0, 0] for x in range(n)]} for n in (2, 3, 4)]
@@ -46,6 +47,21 @@ def test_the_phylogeny(browser, study):
 def test_it_is_not_compared_with_scores_of_the_service(browser, service, study):
     browser.open(f"campaigns/{study}?compare={service.study}")
     browser.until("document.querySelector('main').innerText.includes('cannot be compared')")
-    assert "speed_lost; the mean loss" in browser.run(
+    assert "speed_lost m/s; mean" in browser.run("return document.querySelector('main').innerText")
+    assert browser.faults() == []
+
+
+def test_other_aggregates_are_not_compared(browser, service):
+    """They are scores of another kind. The settings show the aggregate, in bold."""
+    ids = [service.post("/v1/campaigns", CAMPAIGN | {"aggregate": one, "generations": 1})["id"]
+           for one in ("mean", {"kind": "cvar", "level": 0.75})]
+    for id in ids:
+        await_end(service, f"/v1/campaigns/{id}")
+    browser.open(f"campaigns/{ids[0]}?compare={ids[1]}")
+    browser.until("document.querySelector('main').innerText.includes('cannot be compared')")
+    assert "their scores (mean; cvar 0.75)" in browser.run(
         "return document.querySelector('main').innerText")
+    browser.open(f"campaigns/{ids[1]}/settings")
+    browser.until("document.querySelector('dl.settings strong')")
+    assert "cvar 0.75" in browser.texts("dl.settings strong")
     assert browser.faults() == []

@@ -107,9 +107,8 @@ export function usualCampaign(job, preset, periodS, places) {
     environments: 'paper-test', initial: 'random', workspace: [6, 6, 4],
     mutation: { share: 0.25, rate: 1 / workspace.reduce((a, b) => a * b, 1), growth: 1.025 },
     selection: { kind: 'truncation', ...SELECTIONS[selection.kind] },
-    racing: mode === 'study' || job.settings.select_by || selection.kind !== 'truncation'
-      ? job.settings.racing : 'lossless',
-    exclude_pretraining: mode !== 'study', collapse_share: 0.5, measures: [], select_by: null,
+    racing: job.settings.select_by ? 'off' : 'lossless', exclude_pretraining: mode !== 'study',
+    collapse_share: 0.5, measures: [], select_by: null, aggregate: { kind: 'mean' },
     physics: physicsOf(isPaper, job.controller ? periodS : randomPeriodS(isPaper)),
     learning: learning && {
       parent_steps: steps, child_steps: steps, batch: own,

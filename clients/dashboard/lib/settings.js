@@ -32,6 +32,7 @@ const WORDS = {
     : countOf(value.count, 'listed design')),
   population: (value) => (value.campaign ? `from campaign ${value.campaign}`
     : `from evaluation ${value.evaluation}`),
+  aggregate: (value) => Object.values(value).join(' '),
   select_by: ({ measure, direction }) => `${direction} ${measure}`,
   random: ({ seed, first }) => `seed ${seed}, starting at number ${first}`,
   vary: (value) => Object.entries(value).map(([name, range]) => `${name} ${range.join(' to ')}`)

@@ -32,7 +32,7 @@ function chartsOf({ job, own, measure, shown }, group) {
           note: `lower is better; ${job().study
             ? 'sent by the client' : 'the mean of a measure, negated for max'}` }
         : measure
-        ? { title: `Meters ${measure.verb}`, note: 'higher is better; from the mean loss',
+        ? { title: `Meters ${measure.verb}`, note: 'higher is better; from the score',
           yText: meters }
         : { title: 'Score', note: 'lower is better', log: true }),
       height: 260, empty,

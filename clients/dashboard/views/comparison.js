@@ -17,11 +17,9 @@ export const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
  * campaign compare; '' if they can be compared.
  */
 function differenceOf(one, other) {
-  const [own, otherOwn] = [one, other].map(({ campaign }) => campaign.own_score ?? null);
-  if (own?.name !== otherOwn?.name || own?.unit !== otherOwn?.unit) {
-    return `their scores (${[own, otherOwn].map((score) => score?.name ?? 'the mean loss')
-      .join('; ')})`;
-  }
+  const [own, otherOwn] = [one, other].map(({ campaign }) =>
+    Object.values(campaign.own_score ?? campaign.settings.aggregate).join(' ').trim());
+  if (own !== otherOwn) return `their scores (${own}; ${otherOwn})`;
   const [a, b] = [one, other].map(({ campaign }) => campaign.settings.physics);
   const setting = Object.keys({ ...a, ...b }).find((name) => a[name] !== b[name]);
   if (setting) return `physics.${setting} (${a[setting]}, ${b[setting]})`;

@@ -179,7 +179,7 @@ def require_comparable(a: str, b: str, differences: Sequence[Mapping[str, Any]])
             raise MorphodError(
                 f"campaigns {a} and {b} are in different environments: their scores are not "
                 "comparable. Score their champions in the same environments: champions, evaluate")
-        if setting.startswith("own_score"):
+        if setting.startswith(("own_score", "settings.aggregate")):
             values = ", ".join(map(short, one["values"]))
             raise MorphodError(
                 f"campaigns {a} and {b} have different settings for {setting} ({values}), so their "

@@ -161,7 +161,9 @@ class AsyncClient(Scoring, Learning, Atlases, Certifying):
         contract (docs/evolution.md), such as `population`, `generations`, `seed`, `selection`,
         `mutation`, `physics`. With `measures`, such as `["work_j"]` or True, tables of designs have
         a column for the mean of each measure; with `select_by`, such as `{"measure":
-        "displacement_m", "direction": "max"}`, the campaign selects by one.
+        "displacement_m", "direction": "max"}`, the campaign selects by one. With `aggregate`, such
+        as `{"kind": "cvar", "level": 0.9}`, the score of a design is not the mean of its losses
+        over the environments, but here that of the worst tenth.
         """
         value: dict[str, Any] = {"mode": mode, "replicates": replicates,
                                  **_given(preset=preset, label=label), **settings}
