@@ -65,7 +65,9 @@ def test_campaigns_that_do_not_compare(m):
     first = m.campaign("zero-shot", **SMALL)[0]
     elsewhere = [{"light_xy_m": [1, 1], "terrain_sigma_m": 0, "seed": 1}]
     for more, words in (({"physics": {"n_steps": 21}}, r"differ in physics.n_steps \(20, 21\)"),
-                        ({"environments": elsewhere}, "are in different environments")):
+                        ({"environments": elsewhere}, "are in different environments"),
+                        ({"aggregate": {"kind": "cvar", "level": 0.5}},
+                         r"settings for settings.aggregate.kind \(\"mean\", \"cvar\"\)")):
         other = m.campaign("zero-shot", **{**SMALL, **more})[0]
         with pytest.raises(morphod.MorphodError, match=words):
             m.compare_campaigns(first, other)
