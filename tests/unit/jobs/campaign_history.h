@@ -131,13 +131,16 @@ static inline double plain_score(const struct plain *plain, const struct origin 
   for (uint32_t k = 0; k < origin->n_environments; k++)
     sum += losses[k] = plain->loss(plain->context, genotype, controller, &origin->environments[k],
                                    &origin->settings.physics);
-  return sum / origin->n_environments;
+  return origin->settings.aggregate.kind == MO_AGGREGATE_MEAN
+             ? sum / origin->n_environments
+             : mo_aggregate_score(&origin->settings.aggregate, losses, origin->n_environments);
 }
 
 /* Cuts a child short after the first wave that shows that it cannot survive. Returns the rollouts
  * up to there; *blocks: their number of blocks. */
-static inline uint32_t plain_race(const struct mo_race *race, const double *losses,
-                                  struct mo_campaign_design *design, uint32_t *blocks)
+static inline uint32_t plain_race(const struct mo_race *race, const struct mo_aggregate *aggregate,
+                                  const double *losses, struct mo_campaign_design *design,
+                                  uint32_t *blocks)
 {
   *blocks = 1;
   for (uint32_t wave = 0; wave + 1 < race->n_waves; wave++, ++*blocks) {
@@ -146,8 +149,11 @@ static inline uint32_t plain_race(const struct mo_race *race, const double *loss
       known[race->order[i]] = losses[race->order[i]];
     for (uint32_t k = 0; k < race->n_environments; k++)
       sum += known[k];
-    if (sum / race->n_environments > race->bound) {
-      design->score = sum / race->n_environments;
+    const double bound = aggregate->kind == MO_AGGREGATE_MEAN
+                             ? sum / race->n_environments
+                             : mo_aggregate_score(aggregate, known, race->n_environments);
+    if (bound > race->bound) {
+      design->score = bound;
       design->is_cut = isfinite(design->score);
       return race->ends[wave];
     }
@@ -231,7 +237,8 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
     uint32_t rollouts = i >= n_parents || !is_zero_shot ? e : 0, blocks;
     if (i >= n_parents && race.n_waves > 0) {
       struct mo_campaign_design raced = *design;
-      const uint32_t n_raced = plain_race(&race, losses + (size_t)i * e, &raced, &blocks);
+      const uint32_t n_raced =
+          plain_race(&race, &settings->aggregate, losses + (size_t)i * e, &raced, &blocks);
       saved += (double)(e - n_raced) + 2.0 * (e > 16 ? 2 : 1) - 2.0 * blocks;
       if (race_pays) {
         *design = raced;

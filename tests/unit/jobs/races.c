@@ -14,14 +14,19 @@ static struct {
   unsigned cuts, stops, cut, whole; /* number of cuts while the campaign was working */
 } seen;
 
+/* A mode, and how losses become scores, as one number. */
+#define BY(mode, aggregate) ((mode) + 16 * (int)(aggregate))
+
 /* Like the presets but small: the more designs, the fewer of their children survive. */
-static struct mo_campaign_request request_of(int mode, uint32_t seed, bool is_large)
+static struct mo_campaign_request request_of(int by, uint32_t seed, bool is_large)
 {
+  const int mode = by % 16;
   struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
   struct mo_campaign_settings *settings = &request.record.settings;
   settings->population = is_large ? HISTORY_POPULATION : POPULATION;
   settings->generations = is_large ? 7 : 5;
   settings->seed = seed;
+  settings->aggregate = (struct mo_aggregate){(enum mo_aggregate_kind)(by / 16), 0.95, 1};
   if (mode != MO_ZERO_SHOT)
     settings->parent_steps = settings->child_steps = 1;
   request.record.checkpoint_every_s = 0;
@@ -106,14 +111,14 @@ static void check_on_disk(const struct mo_campaign_request *request, const struc
 
 /* ---- the cases ---- */
 
-static void same_campaigns(int mode)
+static void same_campaigns(int by)
 {
   const char *text = getenv("MORPHO_RACE_SEEDS");
   const uint32_t n_seeds = text != NULL ? (uint32_t)strtoul(text, NULL, 10) : 3;
   memset(&seen, 0, sizeof(seen));
   for (uint32_t seed = 1; seed <= n_seeds; seed++)
     for (int is_large = 0; is_large < 2; is_large++) {
-      const struct mo_campaign_request request = request_of(mode, seed, is_large > 0);
+      const struct mo_campaign_request request = request_of(by, seed, is_large > 0);
       struct origin origin = origin_of(&request);
       struct history *raced = plain_history(&fake_plain, &origin);
       origin.settings.racing = MO_RACING_OFF;
@@ -132,5 +137,7 @@ static const struct check_case cases[] = {
     {"zero-shot: the same campaign", WITH(same_campaigns, MO_ZERO_SHOT)},
     {"few-shot: the same campaign", WITH(same_campaigns, MO_FEW_SHOT)},
     {"simultaneous: the same campaign", WITH(same_campaigns, MO_SIMULTANEOUS)},
+    {"zero-shot by quantiles", WITH(same_campaigns, BY(MO_ZERO_SHOT, MO_AGGREGATE_QUANTILE))},
+    {"few-shot by cvar", WITH(same_campaigns, BY(MO_FEW_SHOT, MO_AGGREGATE_CVAR))},
 };
 CHECK_MAIN(cases)
