@@ -329,13 +329,16 @@ def test_other_scores_are_refused(service, start, bundle, place):
         assert f"is not the {ALL[place]['kind']} of its losses" in detail, detail
 
 
-@pytest.mark.parametrize("aggregate, words", [
-    ({"kind": "mean"}, ""), ({"kind": "cvar", "level": 2}, ""),
-    (MEAN_SD, "")], ids=["mean", "level", "racing"])
-def test_other_settings_are_refused(service, start, bundle, aggregate, words):
-    """A bundle has one form; no campaign with mean-sd races."""
-    sent = service.request("GET", f"/v1/bundles?campaigns={bundle[0][1]}").body
-    change = put("settings", lambda settings: settings | {"aggregate": aggregate})
+@pytest.mark.parametrize("place, more, words", [
+    (1, {"aggregate": {"kind": "mean"}}, 'expected "}}"'),
+    (1, {"aggregate": {"kind": "cvar", "level": 2}}, "not the settings of a campaign"),
+    (1, {"aggregate": CVAR | {"level": 0.5}}, "is not the cvar of its losses"),
+    (2, {"racing": "lossless"}, "not the settings of a campaign")], ids=["mean", "bounds", "level", "racing"])
+def test_other_settings_are_refused(service, start, bundle, place, more, words):
+    """A bundle has one form: by the mean, without the setting. With mean-sd, racing is off."""
+    sent = service.request("GET", f"/v1/bundles?campaigns={bundle[0][place]}").body
+    change = put("settings", lambda settings: {name: more.get(name, value)
+                                               for name, value in settings.items()})
     reply = enter(start(), pack(altered(unpack(sent), "campaign.json", change)), "verify")
     assert reply.status == 422 and words in reply.json()["errors"][0]["detail"], reply.json()
 
