@@ -79,7 +79,18 @@ static int64_t read_generations(struct curve *curve, void *rows, size_t limit)
 }
 
 /* Columns before the columns of a generation, in tables of several campaigns. */
-static const char member_columns[] = "campaign group replicate:u label mode state seed:l own_score";
+static const char member_columns[] =
+    "campaign group replicate:u label mode state seed:l own_score aggregate";
+
+/* Writes how losses become scores: "cvar 0.9", or null for the mean. */
+static void write_aggregate(struct mo_text *about, const struct mo_aggregate *aggregate)
+{
+  char text[64];
+  snprintf(
+      text, sizeof(text), "%s %s", mo_aggregate_words[aggregate->kind],
+      MO_NUMBER(aggregate->kind == MO_AGGREGATE_MEAN_SD ? aggregate->weight : aggregate->level));
+  mo_text_member(about, "aggregate", aggregate->kind == MO_AGGREGATE_MEAN ? NULL : text);
+}
 
 /* Describes the campaign, once for all its rows. */
 static void describe(struct mo_text *about, const struct mo_campaign_status *status)
@@ -97,6 +108,7 @@ static void describe(struct mo_text *about, const struct mo_campaign_status *sta
   mo_text_member_count(about, "seed", record->settings.seed);
   mo_text_member(about, "own_score",
                  mo_own_score_is_set(&record->own_score) ? record->own_score.name : NULL);
+  write_aggregate(about, &record->settings.aggregate);
 }
 
 /* Reads rows of the next campaign that has any. */

@@ -1,5 +1,7 @@
 """`"aggregate"` of campaigns: how the losses of a design over the environments become its score."""
 
+import csv
+import io
 import math
 
 import pytest
@@ -165,6 +167,18 @@ def test_parents_that_learn_are_scored_again(service, aggregate):
     assert [row["score"] for row in population] == [
         score_of(aggregate, losses)
         for losses in evaluated_losses(service, population, controller=name)]
+
+
+def test_a_table_of_several_campaigns_says_so(service, bundle):
+    """Their scores are not comparable."""
+    ids = [*bundle[0], run(service, "campaigns", FREE | {"generations": 0})["id"]]
+    path = f"/v1/campaigns/generations?campaigns={','.join(ids)}"
+    words = dict(zip(ids, ["quantile 0.95", "cvar 0.75", "mean-sd 1.5", None]))
+    assert {(row["campaign"], row["aggregate"]) for row in service.get(path)["items"]} == set(
+        words.items())
+    text = service.request("GET", path + "&format=csv").body.decode()
+    for row in csv.DictReader(io.StringIO(text)):
+        assert row["aggregate"] == (words[row["campaign"]] or "")
 
 
 # ---- racing ----
@@ -333,7 +347,8 @@ def test_other_scores_are_refused(service, start, bundle, place):
     (1, {"aggregate": {"kind": "mean"}}, 'expected "}}"'),
     (1, {"aggregate": {"kind": "cvar", "level": 2}}, "not the settings of a campaign"),
     (1, {"aggregate": CVAR | {"level": 0.5}}, "is not the cvar of its losses"),
-    (2, {"racing": "lossless"}, "not the settings of a campaign")], ids=["mean", "bounds", "level", "racing"])
+    (2, {"racing": "lossless"}, "not the settings of a campaign")],
+                         ids=["mean", "bounds", "level", "racing"])
 def test_other_settings_are_refused(service, start, bundle, place, more, words):
     """A bundle has one form: by the mean, without the setting. With mean-sd, racing is off."""
     sent = service.request("GET", f"/v1/bundles?campaigns={bundle[0][place]}").body

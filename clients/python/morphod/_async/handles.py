@@ -110,9 +110,9 @@ class AsyncCampaign(AsyncJob):
 
     async def curve(self, stride: int = 1) -> pd.DataFrame:
         """Returns a table with a row per generation: campaign, group, replicate, label, mode,
-        state, seed, own_score (its name, in a study that has one), generation, and every statistic
-        (`score_mean`, `score_quantiles_p0`, `diversity`, …). With a `stride` only generations that
-        are multiples of it."""
+        state, seed, own_score (its name, in a study that has one), aggregate (`cvar 0.9`; None: the
+        mean), generation, and every statistic (`score_mean`, `score_quantiles_p0`, `diversity`, …).
+        With a `stride` only generations that are multiples of it."""
         return await curves(self._connection, stride, campaigns=self.id)
 
     async def learning(self) -> pd.DataFrame:
