@@ -19,6 +19,7 @@ const VIEWS = {
   campaigns: { name: 'Campaign', module: './views/campaign.js', under: 'runs' },
   trainings: { name: 'Training run', module: './views/training.js', under: 'runs' },
   evaluations: { name: 'Evaluation', module: './views/evaluation.js', under: 'runs' },
+  certificates: { name: 'Certificate', module: './views/certificate.js', under: 'runs' },
   designs: { name: 'Designs', module: './views/designs.js', hasTask: true },
   controllers: { name: 'Controllers', module: './views/controllers.js' },
   lab: { name: 'Lab', module: './views/lab.js', hasTask: true },
@@ -43,6 +44,8 @@ function placeOf() {
     other = `runs?${parameters}`;
   } else if (name === 'designs' && !rest.length && parameters.get('evaluation')) {
     other = `evaluations/${encodeURIComponent(parameters.get('evaluation'))}`;
+  } else if (name === 'certificate') {
+    other = `certificates/${rest}`;
   } else if (name === 'editor') {
     other = `lab${query ? `?${query}` : ''}`;
   } else if (name === 'overview' && query) { // it had a list with filters
@@ -61,7 +64,7 @@ function load(module) {
   /** @type {HTMLMetaElement} */
   const names = document.querySelector(`meta[name="${module}"]`);
   for (const name of names?.content.split(' ') ?? []) {
-    const { href } = new URL(name, import.meta.url);
+    const { href } = new URL(`${name}.js`, import.meta.url);
     document.head.append(h('link', { rel: 'modulepreload', href }));
   }
   return import(module).catch(async () => {

@@ -10,8 +10,8 @@ is relative to FOLDER.
 They are served from assets/HASH/…, with one hash over all files.
 Modules can therefore import each other by relative names, and clients may cache them. index.html is
 the page itself; @assets@ in it becomes that folder. @preload@ becomes the list of modules that
-app.js imports, and for each view the additional modules that it imports. The browser then loads all
-of them at once instead of import by import.
+app.js imports, and for each view the additional modules that it imports, without .js. The browser
+then loads all of them at once instead of import by import.
 """
 import gzip
 import hashlib
@@ -115,7 +115,8 @@ def preload(sources: dict[str, str]) -> str:
     core = modules_of(sources, "app.js")
     lines = [f'<link rel="modulepreload" href="@assets@/{name}">' for name in sorted(core)]
     for view in re.findall(r"module: '\./(.*?)'", sources["app.js"]):
-        names = " ".join(sorted(modules_of(sources, view) - core))
+        names = " ".join(name.removesuffix(".js")
+                         for name in sorted(modules_of(sources, view) - core))
         lines.append(f'<meta name="./{view}" content="{names}">')
     return "\n".join(lines)
 

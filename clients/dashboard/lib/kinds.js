@@ -10,7 +10,7 @@ import {
 import { count, countOf } from './format.js';
 
 /** Members that only one kind has: a list of jobs has them in a member of that name. */
-const partOf = (job) => job[job.kind] ?? job;
+export const partOf = (job) => job[job.kind] ?? job;
 
 /** The progress of a job; lists have it in brief. */
 const progressIn = (job) => job.progress ?? { under_way: null, total: 0, ...partOf(job) };
@@ -164,10 +164,10 @@ const atlas = {
 
 /** @type {Kind} */
 const certificate = {
-  ...atlas, name: 'Certificate', names: 'Certificates', kind: 'certificate', loses: 'its report',
+  ...atlas, name: 'Certificate', names: 'Certificates', path: 'certificates', kind: 'certificate',
+  loses: 'its report', worlds: (job) => job.certificate.environments,
   progress: ({ certificate: { rollouts_done: done, rollouts: all, progress } }) =>
     counted(done, all, 'rollouts', progress.seconds_left),
-  worlds: (job) => job.certificate.environments,
 };
 
 /** @type {Object<string, Kind>} */
@@ -185,11 +185,8 @@ export const asJob = (kind, item) =>
   (kind === 'training' ? { ...item, trainingKind: item.kind, kind } : { ...item, kind });
 
 /** Returns the address of a job's page. */
-export function linkOf(job, tab = '') {
-  if (job.kind === 'atlas') return `#/atlas/${job.atlas?.name ?? ''}`;
-  if (job.kind === 'certificate') return `#/certificate/${job.id}`;
-  return `#/${kindOf(job).path}/${job.id}${tab && `/${tab}`}`;
-}
+export const linkOf = (job, tab = '') => (job.kind === 'atlas'
+  ? `#/atlas/${job.atlas?.name ?? ''}` : `#/${kindOf(job).path}/${job.id}${tab && `/${tab}`}`);
 
 /** Returns the path of a job as a resource of its kind. */
 export const pathOf = (job) => `v1/${kindOf(job).path}/${job.id}`;

@@ -5,6 +5,7 @@ import { choice, fill, h, patch, say, table } from '../lib/dom.js';
 import { bytes, count, score } from '../lib/format.js';
 import { isOpen, pathOf } from '../lib/kinds.js';
 import { roll } from '../lib/rollouts.js';
+import { loadSheet } from '../lib/sheet.js';
 import { AtlasHttp } from '../lib/atlas_http.js';
 import { AtlasCompare } from './atlas_compare.js';
 import { AtlasPage, startOf, taskTitle } from './atlas_page.js';
@@ -15,20 +16,9 @@ import { JobParts } from './jobs.js';
 const POLL_MS = 2000;
 const OPEN = ['queued', 'running', 'paused'];
 
-/** The page has a sheet of its own, so that other pages do not load it. */
-function loadStyle() {
-  const { href } = new URL('../atlas.css', import.meta.url);
-  const known = document.querySelector(`link[href="${href}"]`);
-  if (known) return Promise.resolve();
-  return new Promise((resolve) => {
-    document.head.append(h('link', { rel: 'stylesheet', href, onload: resolve,
-      onerror: resolve }));
-  });
-}
-
 export async function mount(main, [name], parameters, app) {
   const [{ items, unreadable }, jobs] = await Promise.all([getJson('v1/atlases'), builds(),
-    loadStyle()]);
+    loadSheet('atlas.css')]);
   const isBuilt = items.some((one) => one.name === name);
   if (!name || (!isBuilt && jobs.some((job) => job.atlas.name === name))) {
     return showList(main, { name, items, unreadable, jobs }, app);

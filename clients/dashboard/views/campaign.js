@@ -1,6 +1,6 @@
 /** One campaign: its head, and its tabs. */
 
-import { post } from '../lib/api.js';
+import { listOf, post } from '../lib/api.js';
 import { announce, button, fill, h } from '../lib/dom.js';
 import { count, countOf, inOwnUnit, score } from '../lib/format.js';
 import { ownScoreOf, replicateOf } from '../lib/kinds.js';
@@ -8,11 +8,43 @@ import { may } from '../lib/rights.js';
 import { worldOfJob } from '../lib/rollouts.js';
 import { measureOf, meters } from '../lib/tasks.js';
 import { CampaignCurves } from './campaign_curves.js';
+import { CampaignStage } from './champions.js';
 import { submitter } from './jobs.js';
-import { PopulationTab } from './population.js';
 import { mountRun } from './run_page.js';
+import { Scatter } from './scatter.js';
 import { SettingsTab } from './settings.js';
-import { copyButton, formDialog, saveLink, showDialog } from './share.js';
+import { announced, copyButton, formDialog, saveLink, showDialog } from './share.js';
+
+const DESIGNS_MAX = 10000;
+
+/** The population: any two traits of its designs, and those in a brush walking. */
+class PopulationTab {
+  constructor(shared) {
+    this.shared = shared;
+    this.population = [];
+    this.stage = new CampaignStage(shared);
+    this.scatter = new Scatter((numbers) => this.stage.walk(numbers.map((number) =>
+      this.population.find((one) => one.number === number)).filter(Boolean)), shared.own?.name);
+    this.element = h('div.grid', {}, this.scatter.element, this.stage.element);
+  }
+
+  async refresh() {
+    const { id, get, job } = this.shared;
+    if (job().progress.generation === null) return;
+    const population = await listOf(get, `v1/campaigns/${id}/population`, {}, DESIGNS_MAX);
+    this.population = population;
+    this.scatter.set(population);
+    if (this.stage.isEmpty) {
+      const best = [...population].sort((a, b) => (a.score ?? Infinity) - (b.score ?? Infinity));
+      await this.stage.walk(best.slice(0, 4));
+    }
+  }
+
+  destroy() {
+    this.stage.destroy();
+    this.scatter.destroy();
+  }
+}
 
 /** The tabs that are shown here; the phylogeny has a page. */
 const tabs = { '': CampaignCurves, population: PopulationTab, settings: SettingsTab };
@@ -42,6 +74,7 @@ async function prepare(shared) {
     isDashed: true, aside: [siblings],
     actions: [button('Export', () => exports(campaign)),
       may('submit') && !campaign.study ? button('Extend', () => extend(shared)) : null,
+      may('submit') ? button('Certify the best 20', () => announced(() => certify(shared))) : null,
       copyButton(() => ({
         path: `v1/campaigns/${id}`, morphoctl: `campaign show ${id}\ncampaign watch ${id}`,
         python: `campaign = m.get_campaign(${id})\nprint(campaign.curve())\n` +
@@ -69,6 +102,11 @@ function exports({ id, settings }) {
     link('phylogeny?format=csv', 'Phylogeny in the ALife standard (CSV)'),
     link('phylogeny?format=newick', 'Phylogeny in Newick'),
     settings.learning ? link('learning?format=csv', 'Learning as CSV') : null));
+}
+
+async function certify({ app, id: campaign }) {
+  const { id } = await post('v1/certificates', { population: { campaign } });
+  app.go(`certificates/${id}`);
 }
 
 function extend({ id, refreshJob }) {

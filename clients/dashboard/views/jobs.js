@@ -3,7 +3,7 @@
 import { LinkError, post } from '../lib/api.js';
 import { button, h, isInUse, say } from '../lib/dom.js';
 import { countOf, duration, number } from '../lib/format.js';
-import { isOpen, kindOf, progressOf, stateOf, titleOf } from '../lib/kinds.js';
+import { isOpen, kindOf, partOf, progressOf, stateOf, titleOf } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
 import { editDialog } from './job_edit.js';
 import { announced, confirmDialog } from './share.js';
@@ -138,7 +138,8 @@ export class JobParts {
 }
 
 function rateOf(job) {
-  const rate = job.progress?.rollouts_per_s ?? job.progress?.bodies_per_s;
+  const { progress } = partOf(job);
+  const rate = progress?.rollouts_per_s ?? progress?.bodies_per_s;
   if (!rate) return '';
   return `${number(rate)} ${kindOf(job).rate} per second`;
 }

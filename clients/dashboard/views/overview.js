@@ -126,10 +126,7 @@ export async function mount(main, path, parameters, app) {
   /** Describes what a job does: its task, and a campaign's best score in the unit of the task. */
   async function aboutOf(kind, job) {
     if (kind === 'training') return worldsOfTraining(job);
-    if (kind === 'evaluation') {
-      return job.suite ? `all tasks of ${job.suite.name}` : '';
-    }
-    if (kind === 'atlas' || kind === 'certificate') return '';
+    if (!job.settings) return job.suite ? `all tasks of ${job.suite.name}` : '';
     const environments = await environmentsOfCampaign(job);
     const name = taskNameOf(job.settings.environments, environments);
     const best = job.newest?.score.quantiles.p0 ?? null;
