@@ -12,10 +12,11 @@
 
 #define SHORT_BYTES 32
 
-/* Rounds a number to two digits, or to a whole number. */
+/* Rounds a number to two digits, or to a whole number. 99.5 and more have a third digit, for which
+ * "%.2g" would write an exponent. */
 static const char *rounded(double value, char text[SHORT_BYTES])
 {
-  snprintf(text, SHORT_BYTES, fabs(value) >= 100 ? "%.0f" : "%.2g", value);
+  snprintf(text, SHORT_BYTES, fabs(value) >= 99.5 ? "%.0f" : "%.2g", value);
   return text;
 }
 #define ROUNDED(value) rounded((value), (char[SHORT_BYTES]){0})
@@ -123,6 +124,15 @@ static void add_flags(struct mo_text *text, uint32_t flags)
   }
 }
 
+/* Appends what a finer step does to the only design, which has no rank that could say it. */
+static void add_numerics_alone(struct mo_text *text, const struct about *about, uint32_t t)
+{
+  const bool is_kept = !(fabs(score_at(about, t)->change) >= MO_VERDICT_CHANGE);
+  mo_text_add(text, is_kept                  ? "Keeps its score "
+                    : worse_by(about, t) > 0 ? "Is worse "
+                                             : "Its score changes ");
+}
+
 static void add_numerics(struct mo_text *text, const struct about *about)
 {
   const uint32_t t = finest(about->trials, about->n_trials);
@@ -138,7 +148,7 @@ static void add_numerics(struct mo_text *text, const struct about *about)
     return;
   }
   if (about->n_designs == 1)
-    mo_text_add(text, worse_by(about, t) > 0 ? "Is worse " : "Keeps its score ");
+    add_numerics_alone(text, about, t);
   else if (here->rank == base->rank)
     mo_text_add(text, "Keeps its rank ");
   else if (fabs((double)here->rank - base->rank) <= few)
@@ -397,6 +407,38 @@ static void add_means(struct mo_text *text, const struct mo_trial *trials, uint3
   mo_text_add(text, ".");
 }
 
+/* Appends where designs diverge. They are in no mean score, so that one may look the better for
+ * them. */
+static void add_divergences(struct mo_text *text, const struct mo_trial *trials, uint32_t n_trials,
+                            const struct mo_trial_list *lists, uint32_t n_designs)
+{
+  const uint32_t of_base = lists[0].n_diverged_designs;
+  uint32_t most = 0, levels = 0;
+  for (uint32_t t = 1; t < n_trials; t++) {
+    levels += lists[t].n_diverged_designs > of_base;
+    if (lists[t].n_diverged_designs > lists[most].n_diverged_designs)
+      most = t;
+  }
+  if (levels > 0) {
+    next_sentence(text);
+    if (n_designs == 1)
+      mo_text_format(text, "The design diverges at %u of %u levels.", (unsigned)levels,
+                     (unsigned)(n_trials - 1));
+    else {
+      mo_text_format(text, "At %u of %u levels, more designs diverge than at the base: up to %u, ",
+                     (unsigned)levels, (unsigned)(n_trials - 1),
+                     (unsigned)lists[most].n_diverged_designs);
+      add_where(text, &trials[most]);
+      mo_text_add(text, ".");
+    }
+  }
+  if (of_base > 0) {
+    next_sentence(text);
+    mo_text_format(text, "%u of %u designs diverge at the base and have no score.",
+                   (unsigned)of_base, (unsigned)n_designs);
+  }
+}
+
 void mo_certificate_list_verdict(const struct mo_trial *trials, uint32_t n_trials,
                                  const struct mo_trial_list *lists, uint32_t n_designs,
                                  char text[MO_VERDICT_MAX])
@@ -407,14 +449,10 @@ void mo_certificate_list_verdict(const struct mo_trial *trials, uint32_t n_trial
   if (n_designs > 1)
     add_regret(&words, trials, n_trials, lists);
   add_means(&words, trials, n_trials, lists);
-  if (lists[0].n_diverged_designs > 0) {
-    next_sentence(&words);
-    mo_text_format(&words, "%u of %u designs diverge at the base and have no score.",
-                   (unsigned)lists[0].n_diverged_designs, (unsigned)n_designs);
-  }
+  add_divergences(&words, trials, n_trials, lists, n_designs);
   if (words.size == 0)
     mo_text_format(&words,
-                   n_trials > 1 ? "No level changes the mean score by %g or more."
+                   n_trials > 1 ? "No level worsens the mean score by %g or more."
                                 : "Only the base is scored.",
                    MO_VERDICT_CHANGE);
 }

@@ -161,7 +161,52 @@ static void alone(void)
   mo_certificate_verdict(trials, 3, one, 1, 0, 0, text);
   CHECK_TEXT(text, "Keeps its score on finer steps (0.04). By luck, its score is 0.038 to 0.042.");
   mo_certificate_list_verdict(trials, 3, lists, 1, text);
-  CHECK_TEXT(text, "No level changes the mean score by 0.05 or more.");
+  CHECK_TEXT(text, "No level worsens the mean score by 0.05 or more.");
+
+  /* A better score, or one that is worse only in some worlds, is not the same score. */
+  one[1].score = 0.001;
+  one[0].score = 0.1;
+  one[1].change = -0.099;
+  one[1].of_change = (struct mo_interval){-0.1, -0.098};
+  mo_certificate_verdict(trials, 2, one, 1, 0, 0, text);
+  CHECK_TEXT(text, "Its score changes on finer steps (0.1 to 0.001).");
+  one[1].score = 0.9;
+  one[1].change = 0.8;
+  one[1].of_change = (struct mo_interval){-0.1, 1.7};
+  mo_certificate_verdict(trials, 2, one, 1, 0, 0, text);
+  CHECK_TEXT(text, "Its score changes on finer steps (0.1 to 0.9).");
+  one[1].of_change.lo = 0.1;
+  mo_certificate_verdict(trials, 2, one, 1, 0, 0, text);
+  CHECK_TEXT(text, "Is worse on finer steps (0.1 to 0.9).");
+}
+
+/* Mean scores are those of the other designs, so the list's verdict says that some diverge. */
+static void divergences(void)
+{
+  begin();
+  const uint32_t mass = add(MO_AXIS_MASS, 0.7), friction = add(MO_AXIS_FRICTION, 0.5);
+  lists[friction].n_diverged_designs = 2;
+  lists[friction].mean_score = 0.01;
+  CHECK_HAS(list_verdict(), " At 1 of 2 levels, more designs diverge than at the base: up to 2, "
+                            "when friction is 0.5 times as large.");
+  lists[mass].n_diverged_designs = 3;
+  lists[0].n_diverged_designs = 2;
+  CHECK_HAS(list_verdict(), " At 1 of 2 levels, more designs diverge than at the base: up to 3, "
+                            "when mass is 0.7 times as large. 2 of 20 designs diverge at the base");
+  lists[0].n_diverged_designs = 3;
+  CHECK(strstr(list_verdict(), "more designs diverge") == NULL);
+  lists[0].n_diverged_designs = 0;
+  mo_certificate_list_verdict(trials, n_trials, lists, 1, text);
+  CHECK_TEXT(text, "The design diverges at 2 of 2 levels.");
+}
+
+static void numbers(void)
+{
+  begin();
+  const uint32_t step = add(MO_AXIS_STEP, 4);
+  scores[0][0].score = 99.4;
+  scores[step][0].score = 99.6;
+  CHECK_TEXT(verdict(0, 0), "Keeps its rank on finer steps (99 to 100).");
 }
 
 /* The longest verdict fits. */
@@ -174,8 +219,9 @@ static void longest(void)
     diverge(t, 0, 999999);
     lists[t].tau = -0.99;
     lists[t].mean_score = 1.2345e-10 + t;
+    lists[t].n_diverged_designs = 10 + t;
   }
-  lists[0].n_diverged_designs = 20;
+  lists[0].n_diverged_designs = 10;
   CHECK(strlen(verdict(0, MO_FLAG_OVERSTRAINED | MO_FLAG_INVERTED)) < MO_VERDICT_MAX - 300);
   CHECK(text[strlen(text) - 1] == '.');
   CHECK(strlen(list_verdict()) < MO_VERDICT_MAX - 300 && text[strlen(text) - 1] == '.');
@@ -220,6 +266,8 @@ static const struct check_case cases[] = {
     {"constants: at most two, the worst first", constants},
     {"worlds", worlds},
     {"one design", alone},
+    {"divergences of a list", divergences},
+    {"numbers", numbers},
     {"the longest verdict", longest},
     {"the list", order},
 };
