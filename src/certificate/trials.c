@@ -253,6 +253,9 @@ bool mo_certificate_note(const struct mo_certificate_settings *settings,
              (unsigned)settings->held_out);
     if (mo_fresh_kind(base) != NULL)
       append(note, "%s", mo_fresh_kind(base));
+    if (base->set == NULL && n < base->n_environments)
+      append(note, "only those of the first %u of the list's %u worlds", (unsigned)n,
+             (unsigned)base->n_environments);
     return note->text[0] != '\0';
   }
   note_levels(settings, base, axis, note);

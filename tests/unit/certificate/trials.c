@@ -270,7 +270,7 @@ static void held_out_of_sets(void)
 
 static void held_out_of_lists(void)
 {
-  const struct mo_certificate_settings settings = mo_certificate_defaults();
+  struct mo_certificate_settings settings = mo_certificate_defaults();
   const struct mo_certificate_base base = base_of(NULL, 5);
   struct mo_environment *own = worlds_of(&base), kept = own[2];
   struct mo_message note;
@@ -284,6 +284,11 @@ static void held_out_of_lists(void)
   REQUIRE(trial != NULL);
   CHECK(mo_certificate_note(&settings, &base, MO_AXIS_HELD_OUT, &note));
   CHECK_SAYS(note, "of the list in turn");
+  CHECK(strstr(note.text, "only") == NULL);
+  settings.held_out = 3; /* two of the five tasks have no world */
+  CHECK(mo_certificate_note(&settings, &base, MO_AXIS_HELD_OUT, &note));
+  CHECK_SAYS(note, "in turn; only those of the first 3 of the list's 5 worlds");
+  settings.held_out = 256;
   const struct mo_environment *fresh = environments_of(&settings, &base, trial);
   for (uint32_t k = 0; k < trial->n_environments; k++) {
     struct mo_environment drawn;
