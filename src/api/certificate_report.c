@@ -53,6 +53,17 @@ static int compute(struct mo_report *report)
                                 report->scores, report->lists);
 }
 
+/* Finds out why a complete trial has no losses: since its state was read, the job has begun again
+ * under other code, or has been deleted; otherwise, losses are lost. */
+static int explain_loss(struct mo_store *store, const struct mo_report *report)
+{
+  struct mo_certificate_status now;
+  const int error = mo_store_certificate(store, report->status.job.id, &now);
+  if (error != MO_OK)
+    return error;
+  return now.record.trials_done < report->status.record.trials_done ? MO_ERR_EMPTY : MO_ERR_CORRUPT;
+}
+
 int mo_report_load(struct mo_store *store, int64_t id, struct mo_report *report)
 {
   memset(report, 0, sizeof(*report));
@@ -78,6 +89,8 @@ int mo_report_load(struct mo_store *store, int64_t id, struct mo_report *report)
     return MO_ERR_NO_MEMORY;
   for (uint32_t t = 0; t < report->status.record.trials_done && error == MO_OK; t++)
     error = load_losses(store, report, t);
+  if (error == MO_ERR_NOT_FOUND)
+    error = explain_loss(store, report);
   report->n_trials = report->status.record.trials_done;
   return error == MO_OK ? compute(report) : error;
 }

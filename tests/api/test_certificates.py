@@ -409,6 +409,21 @@ def test_a_report_of_a_running_job(service):
         until(lambda: database.execute(count, (id, )).fetchone() == (0, ))
 
 
+def test_lost_losses_are_not_a_lost_certificate(start, tmp_path):
+    """The losses of a complete trial are gone: the certificate exists, its report cannot."""
+    keeper = start(state=tmp_path / "state")
+    job, _ = certify(keeper, QUICK | {"designs": bodies(keeper, 2)})
+    assert keeper.stop() == 0
+    with sqlite3.connect(tmp_path / "state" / "morphod.db") as database:
+        assert database.execute("DELETE FROM certificate_losses WHERE trial=1").rowcount > 0
+    keeper = start(state=tmp_path / "state")
+    path = f"/v1/certificates/{job['id']}"
+    assert keeper.get(path)["state"] == "succeeded"
+    for report in ("/report", "/report.csv"):
+        reply = keeper.request("GET", path + report)
+        assert reply.status == 500 and "corrupt" in reply.json()["detail"]
+
+
 def test_stops_and_pauses(service, start, tmp_path):
     """A service that stops and starts again, with pauses in between: the same report."""
     value = LONG | {"designs": bodies(service, 20)}
