@@ -9,9 +9,12 @@
 #define AS_CSV "csv", 0, NULL, "Print a row for each design and level, as CSV."
 static const struct option_spec certify_options[] = {
     {"campaign", 0, "ID",
-     "The best designs of this campaign, with its environments, its physics and its resulting "
+     "The best designs of this campaign's newest population, with its environments, its physics "
+     "and its resulting "
      "controller (without one, that it started with) unless others are given."},
-    {"evaluation", 0, "ID", "The best designs of this evaluation."},
+    {"evaluation", 0, "ID",
+     "The best designs of this evaluation. Its controller, environments and physics are not "
+     "taken."},
     {"best", 'n', "N",
      "With --campaign or --evaluation: number of the best designs, 1 to 256 (default: 20)."},
     RULES(""),
