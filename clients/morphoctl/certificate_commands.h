@@ -13,8 +13,8 @@ static const struct option_spec certify_options[] = {
      "and its resulting "
      "controller (without one, that it started with) unless others are given."},
     {"evaluation", 0, "ID",
-     "The best designs of this evaluation. Its controller, environments and physics are not "
-     "taken."},
+     "The best designs of this evaluation, with its environments, its physics and its controller "
+     "unless others are given."},
     {"best", 'n', "N",
      "With --campaign or --evaluation: number of the best designs, 1 to 256 (default: 20)."},
     RULES(""),

@@ -148,14 +148,19 @@ static void fill_designs(struct ctl *ctl, json_t *request)
   json_object_set_new(request, "population", population);
 }
 
-/* Reports what a campaign provided, and the designs that are skipped, or were chosen for an id. */
+/* Reports what the job with the designs provided, and the designs that are skipped, or were chosen
+ * for an id. */
 static void print_notes(const struct ctl *ctl, const json_t *job)
 {
   const json_t *notes = json_object_get(job, "notes"), *note;
-  const char *taken = words_of(value_at(job, "certificate.from_campaign"));
+  const char *taken = words_of(value_at(job, "certificate.from_population")), *kind;
+  json_t *population = json_object_get(job, "population"), *id;
   size_t i;
-  if (*taken != 0 && !ctl->quiet && !ctl->json)
-    print_plain_line(stderr, "of the campaign: %s", taken);
+  json_object_foreach(population, kind, id)
+  {
+    if (*taken != 0 && !ctl->quiet && !ctl->json)
+      print_plain_line(stderr, "taken from %s %s: %s", kind, json_string_value(id), taken);
+  }
   json_array_foreach(notes, i, note)
   {
     if (json_is_object(json_object_get(note, "fault")) && !ctl->quiet)

@@ -31,11 +31,11 @@ static void write_population(struct mo_text *text, enum mo_job_kind kind, int64_
   mo_text_add(text, "}");
 }
 
-/* Writes what the campaign provided. */
+/* Writes what the job with the designs provided. */
 static void write_taken(struct mo_text *text, uint32_t taken)
 {
   static const char *const words[] = {"controller", "environments", "physics"};
-  mo_text_open(text, "from_campaign", "[");
+  mo_text_open(text, "from_population", "[");
   for (unsigned i = 0; i < 3; i++)
     if (taken >> i & 1) {
       mo_text_next(text);
@@ -44,8 +44,6 @@ static void write_taken(struct mo_text *text, uint32_t taken)
   mo_text_add(text, "]");
 }
 
-/* Only a campaign provides anything but designs, and only its population can be a campaign's, so a
- * list need not look up the job. */
 static enum mo_job_kind population_kind(struct mo_store *store, int64_t population)
 {
   struct mo_job job;

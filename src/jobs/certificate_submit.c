@@ -6,7 +6,6 @@
 #include "jobs/certificates.h"
 #include "jobs/submission.h"
 #include "rollout/physics.h"
-#include "store/campaigns.h"
 #include "store/controllers.h"
 #include "store/trainings.h"
 #include "store/worlds.h"
@@ -56,48 +55,54 @@ static int load_population(struct mo_jobs *jobs, struct completion *made,
   return MO_OK;
 }
 
-/* Takes what the request leaves out from the campaign. */
-static int take_from_campaign(struct mo_jobs *jobs, struct completion *made,
-                              struct mo_message *message)
+/* Takes the environments of the job with the designs. */
+static int take_environments(struct mo_jobs *jobs, struct completion *made,
+                             const struct mo_job *job, struct mo_message *message)
 {
   struct mo_certificate_request *request = &made->request;
-  struct mo_campaign_status *campaign = calloc(1, sizeof(*campaign));
-  const int64_t id = request->record.population;
-  int error = campaign == NULL ? MO_ERR_NO_MEMORY : mo_store_campaign(jobs->store, id, campaign);
-  if (error == MO_OK && request->controller == NULL) {
-    const struct mo_job *job = &campaign->job;
-    if (!job->has_result && !job->has_controller) {
-      free(campaign);
+  const char *const set = job->environment_set;
+  if (set[0] != '\0' && mo_word_index(mo_set_words, set) < 0)
+    return mo_fail(message, MO_ERR_CONFLICT,
+                   "%s %lld has the environments of all tasks of %s; give environments, such as "
+                   "those of one task",
+                   mo_job_kind_name(job->kind), (long long)job->id, set);
+  request->record.taken |= MO_TAKEN_ENVIRONMENTS;
+  request->environment_set = NULL;
+  if (set[0] != '\0') {
+    snprintf(made->set, sizeof(made->set), "%s", set);
+    request->environment_set = made->set;
+    return MO_OK;
+  }
+  const int error = mo_store_job_environments(jobs->store, job->id, job->kind, &made->environments,
+                                              &made->n_environments);
+  return error == MO_OK
+             ? MO_OK
+             : mo_fail(message, error, "the environments of %s %lld cannot be read: %s",
+                       mo_job_kind_name(job->kind), (long long)job->id, mo_error_text(error));
+}
+
+/* Takes what the request leaves out from the job with the designs. */
+static int take_from_job(struct mo_jobs *jobs, struct completion *made, const struct mo_job *job,
+                         struct mo_message *message)
+{
+  struct mo_certificate_request *request = &made->request;
+  if (request->controller == NULL) {
+    if (!job->has_result && !job->has_controller)
       return mo_fail(message, MO_ERR_EMPTY,
-                     "campaign %lld started without a controller and has not finished one; give "
-                     "the name of a controller",
-                     (long long)id);
-    }
+                     "%s %lld started without a controller and has not finished one; give the name "
+                     "of a controller",
+                     mo_job_kind_name(job->kind), (long long)job->id);
     memcpy(made->controller, "sha256:", sizeof("sha256:"));
     mo_sha256_to_hex(job->has_result ? &job->result_sha256 : &job->controller_sha256,
                      made->controller + strlen("sha256:"));
     request->controller = made->controller;
     request->record.taken |= MO_TAKEN_CONTROLLER;
   }
-  if (error == MO_OK && !request->has_physics) {
-    request->physics = campaign->job.physics;
+  if (!request->has_physics) {
+    request->physics = job->physics;
     request->record.taken |= MO_TAKEN_PHYSICS;
   }
-  if (error == MO_OK && !request->has_environments) {
-    request->record.taken |= MO_TAKEN_ENVIRONMENTS;
-    request->environment_set = NULL;
-    if (campaign->job.environment_set[0] != '\0') {
-      snprintf(made->set, sizeof(made->set), "%s", campaign->job.environment_set);
-      request->environment_set = made->set;
-    } else {
-      error = mo_store_job_environments(jobs->store, id, MO_JOB_CAMPAIGN, &made->environments,
-                                        &made->n_environments);
-    }
-  }
-  free(campaign);
-  return error == MO_OK ? MO_OK
-                        : mo_fail(message, error, "campaign %lld cannot be read: %s", (long long)id,
-                                  mo_error_text(error));
+  return request->has_environments ? MO_OK : take_environments(jobs, made, job, message);
 }
 
 static int read_population(struct mo_jobs *jobs, struct completion *made,
@@ -109,8 +114,7 @@ static int read_population(struct mo_jobs *jobs, struct completion *made,
   int error = load_population(jobs, made, message);
   if (error == MO_OK)
     error = mo_store_job(jobs->store, made->request.record.population, &job);
-  return error == MO_OK && job.kind == MO_JOB_CAMPAIGN ? take_from_campaign(jobs, made, message)
-                                                       : error;
+  return error == MO_OK ? take_from_job(jobs, made, &job, message) : error;
 }
 
 /* ---- trials ---- */

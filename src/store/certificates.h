@@ -17,7 +17,7 @@
 #define MO_CERTIFICATE_PART         64       /* environments; the last part may have fewer */
 #define MO_CERTIFICATE_ROLLOUTS_MAX 10000000 /* of all trials */
 
-/* What the campaign with the designs provided, because the request did not have it. */
+/* What the job with the designs provided, because the request did not have it. */
 enum mo_certificate_taken {
   MO_TAKEN_CONTROLLER = 1,
   MO_TAKEN_ENVIRONMENTS = 2,
@@ -45,7 +45,7 @@ struct mo_certificate_request {
   struct mo_submission job;
   struct mo_certificate_record record;
   struct mo_physics physics;
-  const char *controller;          /* name or "sha256:<hex>"; NULL: the default, see has_campaign */
+  const char *controller; /* name or "sha256:<hex>"; NULL: of the population, or the default */
   const struct mo_bits *genotypes; /* (n_designs) */
   const struct mo_bits *forms;     /* (n_designs) canonical; as stored */
   struct mo_design_note *notes;    /* (n_notes) */
@@ -54,7 +54,7 @@ struct mo_certificate_request {
   const struct mo_environment *environments; /* (n_environments) */
   uint32_t n_environments;
   uint32_t best; /* how many of the best designs of record.population */
-  /* Without them, a certificate of a campaign takes those of the campaign. */
+  /* Without them, those of record.population are taken, if there is one. */
   bool has_environments, has_physics;
 };
 /* Errors as in mo_store_submit. */

@@ -81,7 +81,7 @@ def test_the_job(service, made):
     assert job["kind"] == "certificate" and job["priority"] == "batch" and job["error"] is None
     assert shown["environments"] == "paper-test" and shown["controller"]["name"] == "default"
     assert shown["axes"] == AXES and shown["levels"] == [0.7, 1.2] and shown["seed"] == 9
-    assert shown["top"] == 1 and shown["from_campaign"] == [] and job["population"] is None
+    assert shown["top"] == 1 and shown["from_population"] == [] and job["population"] is None
     assert shown["designs"] == 6 and shown["ranges"]["friction"] == [1 / 3, 4 / 3]
     assert shown["trials_done"] == shown["trials"] == len(TRIALS)
     assert shown["rollouts_done"] == shown["rollouts"] == 6 * ROLLOUTS
@@ -249,7 +249,7 @@ def test_a_campaign(service):
     source = {"campaign": campaign["id"], "best": 3}
     job, report = certify(service, {"population": source, "axes": ["chance"]})
     shown = job["certificate"]
-    assert shown["from_campaign"] == ["controller", "environments", "physics"]
+    assert shown["from_population"] == ["controller", "environments", "physics"]
     assert shown["environments"] == {"count": 2} and shown["physics"]["n_steps"] == 24
     assert shown["controller"]["sha256"] == campaign["controller"]["sha256"]
     assert job["population"] == {"campaign": campaign["id"]} and report["n_designs"] == 3
@@ -261,7 +261,7 @@ def test_a_campaign(service):
     given = {"population": source, "environments": "morpho-12-walk", "physics": {"n_steps": 30},
              "controller": "default", "axes": ["base"]}
     shown = certify(service, given)[0]["certificate"]
-    assert shown["from_campaign"] == [] and shown["environments"] == "morpho-12-walk"
+    assert shown["from_population"] == [] and shown["environments"] == "morpho-12-walk"
     assert shown["physics"]["n_steps"] == 30 and shown["controller"]["name"] == "default"
     assert shown["designs"] == 3
 
@@ -286,20 +286,39 @@ def test_a_campaign_that_learned(service):
 
 
 def test_an_evaluation(service):
-    value = {"designs": bodies(service, 30, 8), "physics": {"n_steps": 20}}
+    value = {"designs": bodies(service, 30, 8), "physics": {"n_steps": 20},
+             "environments": CAMPAIGN["environments"]}
     evaluation = service.evaluate(value).json()
     best = sorted(evaluation["results"], key=lambda result: result["score"])
-    request = {"population": {"evaluation": evaluation["id"]}, "axes": ["base"],
-               "physics": {"n_steps": 20}}
+    request = {"population": {"evaluation": evaluation["id"]}, "axes": ["base"]}
     job, report = certify(service, request)
-    assert job["certificate"]["from_campaign"] == [] and report["n_designs"] == 20
-    assert job["certificate"]["environments"] == "paper-test"
+    shown = job["certificate"]
+    assert shown["from_population"] == ["controller", "environments", "physics"]
+    assert shown["environments"] == {"count": 2} and shown["physics"]["n_steps"] == 20
+    assert shown["controller"]["sha256"] == evaluation["controller"]["sha256"]
+    assert report["n_designs"] == 20
+    assert scores(report, "base") == pytest.approx([row["score"] for row in best[:20]], rel=1e-6)
     assert [design["design"] for design in report["designs"]] == [
         result["robot"] for result in best[:20]]
     losses = [design["score"] for design in report["designs"]]
     assert [design["rank"] for design in report["designs"]] == [
         1 + sum(other < own for other in losses) for own in losses]
     assert report["top"] == 2
+    given = request | {"environments": "paper-test", "physics": {"n_steps": 10}}
+    shown = certify(service, given)[0]["certificate"]
+    assert shown["from_population"] == ["controller"]
+    assert shown["environments"] == "paper-test"
+
+
+def test_an_evaluation_in_a_suite(service):
+    """There is no base in many tasks: one of them must be given."""
+    suite = service.evaluate({"designs": bodies(service, 2, 8), "physics": {"n_steps": 2},
+                              "environments": "morpho-12"}).json()
+    request = {"population": {"evaluation": suite["id"]}, "axes": ["base"]}
+    reply = service.request("POST", "/v1/certificates", request)
+    assert reply.status == 409 and "give environments" in reply.json()["detail"], reply.body
+    job, _ = certify(service, request | {"environments": "morpho-12-walk"})
+    assert job["certificate"]["from_population"] == ["controller", "physics"]
 
 
 def test_notes(service):

@@ -134,7 +134,7 @@ def test_populations(service, ctl, certified):
     await_end(service, f"/v1/campaigns/{campaign}")
     status, out, err = ctl(f"certify --campaign {campaign} --axes friction --wait")
     assert status == 0 and "physics        30 steps" in out, out
-    assert err == "of the campaign: controller, environments, physics\n"
+    assert err == f"taken from campaign {campaign}: controller, environments, physics\n"
     assert len(table_below(out, "rank")) == 8
 
 

@@ -228,7 +228,7 @@ def test_the_best_of_a_campaign_are_certified(browser, service):
     browser.until("document.querySelector('.design')", 300)
     asked = browser.texts("[aria-label='What was asked']")[0]
     assert f"the best of campaign {service.campaign}" in asked
-    assert asked.count("of the campaign") == len(job["certificate"]["from_campaign"])
+    assert asked.count("of the campaign") == len(job["certificate"]["from_population"])
     service.act(id, "cancel")
     await_end(service, f"/v1/certificates/{id}")
 

@@ -74,7 +74,7 @@ def test_populations(m, campaign):
     assert certificate.live() is certificate
     settings = certificate.data["certificate"]
     assert settings["designs"] == 3 and settings["physics"]["n_steps"] == 60
-    assert set(settings["from_campaign"]) == {"controller", "environments", "physics"}
+    assert set(settings["from_population"]) == {"controller", "environments", "physics"}
     assert settings["levels"] == [0.5]
     newest = m.get_campaign(campaign[0]).population()
     report = certificate.report()

@@ -102,8 +102,8 @@ class Report {
   #showAsked({ physics, left_out: leftOut, axis_notes: notes, levels }) {
     const { certificate: asked, created_at: at, population, notes: faults } = this.job();
     const { controller, environments } = asked;
-    const from = (name) => (asked.from_campaign.includes(name) ? ' of the campaign' : '');
     const [kind, other] = Object.entries(population ?? {})[0] ?? [];
+    const from = (name) => (asked.from_population.includes(name) ? ` of the ${kind}` : '');
     const usual = physicsOf(false, physics.control_period_s);
     const own = rowsOfSettings(physics, usual).filter((row) =>
       row.differs || ['n_steps', 'dt_s', 'control_period_s'].includes(row.name));

@@ -68,7 +68,7 @@ class Certifying:
                       label: str | None = None, experiment: str | None = None,
                       **settings: Any) -> AsyncCertificate:
         """Starts a certificate of up to 256 bodies (see `Body.of`), or of the `best` designs (20 by
-        default) of a campaign or an evaluation, given by its id or as an object. A campaign also
+        default) of a campaign or an evaluation, given by its id or as an object, which also
         provides the environments, the physics and the controller that are not given.
 
         `axes` are some of `precision`, `step`, `held_out`, `chance`, `stiffness`, `mass`, `drag`,
