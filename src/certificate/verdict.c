@@ -332,7 +332,7 @@ static void add_order(struct mo_text *text, const struct mo_trial *trials, uint3
 {
   uint32_t chosen[MO_AXES];
   const uint32_t n = choose_trials(trials, n_trials, lists, chosen);
-  bool any = false;
+  bool any = false, has_intervals = true;
   if (n == 0)
     return;
   for (enum holding holding = HOLDS; holding < HOLDINGS; holding++) {
@@ -351,6 +351,7 @@ static void add_order(struct mo_text *text, const struct mo_trial *trials, uint3
       const struct mo_trial *trial = &trials[chosen[i]];
       if (holding_of(lists[chosen[i]].tau) != holding)
         continue;
+      has_intervals = has_intervals && !isnan(lists[chosen[i]].of_tau.lo);
       add_where(text, trial);
       mo_text_format(text, " (tau %.2f", lists[chosen[i]].tau);
       mo_text_add(text, trial->axis == MO_AXIS_CHANCE ? ": luck)"
@@ -360,7 +361,7 @@ static void add_order(struct mo_text *text, const struct mo_trial *trials, uint3
       mo_text_add(text, left > 1 ? ", " : left == 1 ? " and " : "");
     }
   }
-  mo_text_add(text, ".");
+  mo_text_add(text, has_intervals ? "." : "; with fewer than four designs, tau has no interval.");
 }
 
 static void add_regret(struct mo_text *text, const struct mo_trial *trials, uint32_t n_trials,

@@ -236,6 +236,10 @@ static void order(void)
              "The order of the 20 designs holds on finer steps (tau 1.00) and when "
              "constants change by 0.01 % (tau 1.00: luck). Choosing the best at the "
              "base costs nothing at any level.");
+  lists[chance].of_tau.lo = NAN;
+  CHECK_HAS(list_verdict(),
+            "(tau 1.00: luck); with fewer than four designs, tau has no interval. ");
+  lists[chance].of_tau.lo = 0.9;
   const uint32_t fresh = add(MO_AXIS_HELD_OUT, NAN), friction = add(MO_AXIS_FRICTION, 0.5);
   add(MO_AXIS_MASS, 0.7);
   lists[step].tau = 0.8;
