@@ -130,7 +130,7 @@ static void coverage(void)
         hits += interval.lo <= taus[t] && taus[t] <= interval.hi;
       }
       printf("# n %u, tau %g: coverage %g\n", sizes[s], taus[t], (double)hits / REPEATS);
-      CHECK(hits >= 0.92 * REPEATS);
+      CHECK(hits >= (CHECK_SANITIZED ? 0.85 : 0.92) * REPEATS); /* of 100, 92 may be too many */
     }
 }
 
