@@ -128,6 +128,8 @@ def test_jobs_name_their_tasks(service, browser):
     browser.open("campaigns")
     browser.until("document.body.innerText.includes('travel (turning)')")
     browser.until("/loss [0-9]/.test(document.querySelector('.runs').innerText)")
+    browser.until("[...document.querySelectorAll('main tbody tr')].find((row) =>"
+                  "row.textContent.includes('<b>walkers')).cells[4].textContent")  # read later
     cells = {row[1].splitlines()[0]: row for row in browser.run(
         "return [...document.querySelectorAll('main tbody tr')].map((row) =>"
         "[...row.cells].map((cell) => cell.innerText || cell.textContent))")}
