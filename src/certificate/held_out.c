@@ -14,12 +14,11 @@
 
 #include "base/words.h"
 
-#define LIGHT_NEAR_M                                                                               \
-  0.4 /* of the worlds of trainings (world/environments.c), and so is the rest                     \
-       */
-#define LIGHT_FAR_M 2.0
-#define ROUGHEST_M  0.13 /* standard deviation of 64 heights; their σ is below 0.1 m */
-#define ROUNDED_M   1e-6 /* numbers of a list may have been rounded */
+/* As in the worlds of trainings (world/environments.c). */
+#define LIGHT_NEAR_M 0.4
+#define LIGHT_FAR_M  2.0
+#define ROUGHEST_M   0.13 /* standard deviation of 64 heights; their σ is below 0.1 m */
+#define ROUNDED_M    1e-6 /* numbers of a list may have been rounded */
 
 static const char held_out_suffix[] = "-held-out";
 

@@ -194,7 +194,7 @@ def test_completion(ctl):
 
 
 def test_one_that_is_not_complete(service, ctl, certified):
-    """Its report is about the complete trials, and says so; without any, there is none."""
+    """Its report covers the complete trials, and says so. Before the first, it has none."""
     status, out, err = ctl("certify --axes step,worlds --worlds 256 -", input_text=json.dumps(
         [DESIGN] * 2))
     assert status == 0, err
