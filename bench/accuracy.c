@@ -23,6 +23,8 @@ enum { INTEGRATORS = 2, PERIODS = 3, DTS = 4, MODES = 5, FRAMES = 201, TIMES = 3
 
 static const char *const integrator_names[INTEGRATORS] = {"paper", "split"};
 static const double periods_s[PERIODS] = {0.004, 0.008, 0.016};
+/* Trained with outputs every 16 ms, and measured with them alone. */
+static const char held_controller[] = "data/controllers/phototaxis-16ms.safetensors";
 static const double dts_s[DTS] = {0.004, 0.002, 0.001, 0.0005};
 /* All but the first two are measured with one integrator and period only. */
 static const struct {
@@ -167,7 +169,7 @@ static struct spread loss_error(const struct rollouts *rollouts, const struct ro
 static void print_header(void)
 {
   static const char *const kinds[] = {"median", "p90", "max"};
-  printf("integrator,period_ms,precision,impact,dt_ms,bodies,time_ms_per_rollout");
+  printf("controller,integrator,period_ms,precision,impact,dt_ms,bodies,time_ms_per_rollout");
   for (int t = 0; t < TIMES; t++)
     for (int k = 0; k < 3; k++)
       printf(",path_error_m_%gs_%s", frame_ends[t] * FRAME_S, kinds[k]);
@@ -185,11 +187,12 @@ static void print_spread(struct spread spread)
   printf(",%.3e,%.3e,%.3e", spread.median, spread.p90, spread.most);
 }
 
-static void print_row(struct motion motion, enum mo_precision precision, int mode, double dt_s,
-                      uint32_t n, const struct row *row)
+static void print_row(const char *controller, struct motion motion, enum mo_precision precision,
+                      int mode, double dt_s, uint32_t n, const struct row *row)
 {
-  printf("%s,%g,%s,%s,%g,%u,%.4f", integrator_names[motion.integrator], 1e3 * motion.period_s,
-         precision_names[precision], modes[mode].name, 1e3 * dt_s, n, row->ms);
+  printf("%s,%s,%g,%s,%s,%g,%u,%.4f", controller, integrator_names[motion.integrator],
+         1e3 * motion.period_s, precision_names[precision], modes[mode].name, 1e3 * dt_s, n,
+         row->ms);
   for (int t = 0; t < TIMES; t++)
     print_spread(row->path[t]);
   print_spread(row->loss);
@@ -202,7 +205,8 @@ static void print_row(struct motion motion, enum mo_precision precision, int mod
 struct bench {
   struct bench_scene scene;
   struct mo_compute *compute;
-  struct mo_compute_controller *controller;
+  struct mo_compute_controller *controller; /* the scene's */
+  char name[64];                            /* its own */
   enum mo_isa isa;
   uint32_t n;
   struct rollouts limit, same_dt, rollouts;
@@ -226,8 +230,32 @@ static void measure(struct bench *b, struct motion motion, double dt_s, int n_mo
     row.same_dt_loss = loss_error(&b->rollouts, &b->same_dt, n, b->errors);
     for (uint32_t i = 0; i < n; i++)
       row.diverged += b->rollouts.diverged[i];
-    print_row(motion, precision, mode, dt_s, n, &row);
+    print_row(b->name, motion, precision, mode, dt_s, n, &row);
   }
+}
+
+/* Makes the rollouts that follow use this controller. */
+static void use_controller(struct bench *b, const char *path)
+{
+  struct mo_message message = {"cannot be read"};
+  const char *name = strrchr(path, '/') != NULL ? strrchr(path, '/') + 1 : path;
+  snprintf(b->name, sizeof(b->name), "%.*s", (int)strcspn(name, ".,"), name);
+  if (mo_controller_read(path, &b->scene.controller, &message) != MO_OK) {
+    fprintf(stderr, "morpho-bench: %s: %s\n", path, message.text);
+    exit(1);
+  }
+  bench_check(mo_compute_controller_create(b->compute, b->scene.controller, &b->controller),
+              "controller");
+}
+
+/* All time steps of a motion. */
+static void measure_motion(struct bench *b, struct motion motion, int n_modes)
+{
+  simulate(&b->limit, &b->scene, b->compute, b->controller, motion, LIMIT_DT_S, 0, MO_FLOAT64);
+  for (int d = 0; d < DTS; d++)
+    measure(b, motion, dts_s[d], n_modes);
+  fprintf(stderr, "%s, %s, outputs every %g ms: done\n", b->name,
+          integrator_names[motion.integrator], 1e3 * motion.period_s);
 }
 
 int bench_accuracy(const struct bench_options *options)
@@ -242,16 +270,14 @@ int bench_accuracy(const struct bench_options *options)
   rollouts_create(&b.rollouts, b.n);
   b.errors = bench_zeros(b.n, sizeof(*b.errors));
   b.compute = bench_compute(options->workers, options->isa);
-  bench_check(mo_compute_controller_create(b.compute, b.scene.controller, &b.controller),
-              "controller");
   print_header();
+  use_controller(&b, options->controller);
   for (int i = 0; i < INTEGRATORS; i++)
-    for (int p = 0; p < PERIODS; p++) {
-      const struct motion motion = {(enum mo_integrator)i, periods_s[p]};
-      simulate(&b.limit, &b.scene, b.compute, b.controller, motion, LIMIT_DT_S, 0, MO_FLOAT64);
-      for (int d = 0; d < DTS; d++)
-        measure(&b, motion, dts_s[d], i == 0 && p == 0 ? MODES : 2);
-      fprintf(stderr, "%s, outputs every %g ms: done\n", integrator_names[i], 1e3 * periods_s[p]);
-    }
+    for (int p = 0; p < PERIODS; p++)
+      measure_motion(&b, (struct motion){(enum mo_integrator)i, periods_s[p]},
+                     i == 0 && p == 0 ? MODES : 2);
+  use_controller(&b, held_controller);
+  for (int i = 0; i < INTEGRATORS; i++)
+    measure_motion(&b, (struct motion){(enum mo_integrator)i, periods_s[PERIODS - 1]}, 2);
   return 0;
 }

@@ -7,6 +7,9 @@
  * cuda-bench MODULE time
  *     8192 bodies × 10 environments, also with control periods, with tasks, profiles and damage,
  *     measured, evolved bodies, smaller batches
+ * cuda-bench MODULE accuracy
+ *     CSV: time per rollout of each integrator, control period and time step of `tools/bench
+ *     accuracy`, which has the errors
  * cuda-bench MODULE spread
  *     8192 bodies × 10 environments on all devices, and in parts on one
  * cuda-bench MODULE short
@@ -229,6 +232,36 @@ static void time_all(struct mo_device_controller *controller)
   free_bodies(bodies, N);
 }
 
+/* As time_all, for the settings of accuracy.c. */
+static void time_settings(struct mo_device_controller *controller)
+{
+  enum { N = 8192, TIMED = 2, INTEGRATORS = 2, PERIODS = 3, DTS = 4 };
+  static const double periods_s[PERIODS] = {0.004, 0.008, 0.016};
+  static const double dts_s[DTS] = {0.004, 0.002, 0.001, 0.0005};
+  static const char *const names[INTEGRATORS] = {"paper", "split"};
+  struct mo_body **bodies = random_bodies(golden.lattice, N, 1);
+  struct rows *rows = make_rows(bodies, N, MO_PAPER_TEST_COUNT);
+  printf("integrator,period_ms,dt_ms,rollouts,time_ms_per_rollout,mean_loss\n");
+  for (int i = 0; i < INTEGRATORS * PERIODS * DTS; i++) {
+    struct mo_physics physics = mo_paper_physics();
+    struct mo_scheme *scheme = &physics.scheme;
+    scheme->dt_s = dts_s[i % DTS];
+    scheme->control_period_s = periods_s[i / DTS % PERIODS];
+    scheme->integrator = (enum mo_integrator)(i / DTS / PERIODS);
+    scheme->n_steps = (uint32_t)lround(4 / scheme->dt_s);
+    double best_s = INFINITY, mean = 0;
+    for (int k = 0; k < TIMED; k++)
+      best_s =
+          fmin(best_s, run(controller, rows->robots, rows->n, &physics, rows->outcomes).device_s);
+    for (uint32_t r = 0; r < rows->n; r++)
+      mean += rows->outcomes[r].loss / rows->n;
+    printf("%s,%g,%g,%u,%.6f,%.5f\n", names[scheme->integrator], 1e3 * scheme->control_period_s,
+           1e3 * scheme->dt_s, rows->n, 1e3 * best_s / rows->n, mean);
+  }
+  free_rows(rows);
+  free_bodies(bodies, N);
+}
+
 /* ---- several devices ---- */
 
 enum { PARTS_MAX = 8 };
@@ -340,7 +373,8 @@ static void load(const char *path)
 int main(int argc, char **argv)
 {
   if (argc < 2) {
-    fprintf(stderr, "usage: cuda-bench MODULE [check [REFERENCES] | time | spread | short]\n");
+    fprintf(stderr,
+            "usage: cuda-bench MODULE [check [REFERENCES] | time | accuracy | spread | short]\n");
     return 2;
   }
   const char *what = argc > 2 ? argv[2] : "check";
@@ -362,6 +396,8 @@ int main(int argc, char **argv)
   must(module->controller_create(device, golden.controller, &controller), "controller");
   if (strcmp(what, "time") == 0) {
     time_all(controller);
+  } else if (strcmp(what, "accuracy") == 0) {
+    time_settings(controller);
   } else if (strcmp(what, "spread") == 0) {
     spread(n);
   } else if (strcmp(what, "short") == 0) {

@@ -17,6 +17,11 @@ WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 860, 560, 80, 230, 50, 60
 COLORS = ("#1b6ca8", "#c0392b", "#1e8449", "#b7950b", "#7d3c98",  # float32
           "#5dade2", "#ec7063", "#58d68d", "#f5b041", "#af7ac5")  # float64
 ROBOTS = 32
+TIME, ERROR = "time_ms_per_rollout", "path_error_m_1s_median"
+SAME_DT = "same_dt_" + ERROR
+CORE = "milliseconds per rollout of 4 s, one core"
+FIRST_SECOND = "error of the center of mass in the first second, median, m"
+HELD = "phototaxis-16ms"  # trained with outputs every 16 ms
 
 
 def scale_of(values):
@@ -51,32 +56,47 @@ def front(points):
     return best
 
 
-def draw_accuracy(rows, path):
-    chart = Chart(WIDTH, 2 * HEIGHT)
-    time, error = "time_ms_per_rollout", "path_error_m_1s_median"
-    x_name = "milliseconds per rollout of 4 s, one core"
-    y_name = "error of the center of mass in the first second, median, m"
-    shown = [row for row in rows if row["impact"] == "exact" and row["precision"] == "float32"]
-    panel = panel_of(chart, 0, "Against the limit of small steps (4, 2, 1, 0.5 ms from left to "
-                     "right; float32, exact impacts)", x_name, y_name,
-                     [row[time] for row in shown], [row[error] for row in shown])
-    panel.line(front([(row[time], row[error]) for row in shown]), "#c8c8c8", style="stroke-width:9")
-    groups = records.group(shown, "integrator", "period_ms").items()
-    for place, ((integrator, period), group) in enumerate(groups):
-        color = COLORS[place % 3 if integrator == "paper" else 5 + place % 3]
-        points = [(row[time], row[error]) for row in group]
+def draw_front(chart, place, title, x_name, rows):
+    """Draws error against time, a line for each controller, integrator and period."""
+    panel = panel_of(chart, place, title, x_name, FIRST_SECOND,
+                     [row[TIME] for row in rows], [row[ERROR] for row in rows])
+    panel.line(front([(row[TIME], row[ERROR]) for row in rows]), "#c8c8c8", style="stroke-width:9")
+    groups = records.group(rows, "controller", "integrator", "period_ms").items()
+    for line, ((controller, integrator, period), group) in enumerate(groups):
+        trained = controller == HELD
+        color = "#000" if trained and integrator == "split" else "#888" if trained else COLORS[
+            line % 3 if integrator == "paper" else 5 + line % 3]
+        points = [(row[TIME], row[ERROR]) for row in group]
         panel.line(points, color)
         panel.dots(points, color, 4)
-        name(panel, place, f"{integrator}, outputs every {period:g} ms", color)
+        name(panel, line, f"{integrator}, outputs every {period:g} ms" + (" *" if trained else ""),
+             color)
     name(panel, len(groups), "front", "#c8c8c8")
+    if any(row["controller"] == HELD for row in rows):
+        name(panel, len(groups) + 1, f"* {HELD}", "")
+
+
+def draw_accuracy(rows, path, gpu):
+    """gpu: rows of times on a GPU, or none."""
+    chart = Chart(WIDTH, (3 if gpu else 2) * HEIGHT)
+    shown = [row for row in rows if row["impact"] == "exact" and row["precision"] == "float32"]
+    steps = "(4, 2, 1, 0.5 ms from left to right; float32, exact impacts)"
+    draw_front(chart, 0, f"Against the limit of small steps {steps}", CORE, shown)
+    if gpu:
+        times = {(row["integrator"], row["period_ms"], row["dt_ms"]): 1e3 * row[TIME]
+                 for row in gpu}
+        draw_front(chart, 1, "The same errors against time on one H200 (8192 bodies in ten "
+                   "environments)", "microseconds per rollout of 4 s, one H200",
+                   [{**row, TIME: times[row["integrator"], row["period_ms"], row["dt_ms"]]}
+                    for row in shown])
     # Not float64 exact itself.
     first = [row for row in rows if row["integrator"] == "paper" and row["period_ms"] == 4
-             and 0 < row["same_dt_" + error] < math.inf]
-    panel = panel_of(chart, 1, "Against float64 exact at the same time step: only precision and "
-                     "impact mode (paper, 4 ms)", x_name, y_name, [row[time] for row in first],
-                     [row["same_dt_" + error] for row in first])
+             and 0 < row[SAME_DT] < math.inf]
+    panel = panel_of(chart, 2 if gpu else 1, "Against float64 exact at the same time step: only "
+                     "precision and impact mode (paper, 4 ms)", CORE, FIRST_SECOND,
+                     [row[TIME] for row in first], [row[SAME_DT] for row in first])
     for place, (words, group) in enumerate(records.group(first, "precision", "impact").items()):
-        points = [(row[time], row["same_dt_" + error]) for row in group]
+        points = [(row[TIME], row[SAME_DT]) for row in group]
         panel.line(points, COLORS[place])
         panel.dots(points, COLORS[place], 3)
         name(panel, place, " ".join(words), COLORS[place])
@@ -118,6 +138,7 @@ def main():
     parser.add_argument("what", choices=("accuracy", "stability"))
     parser.add_argument("--csv", help="the table (default: standard output)")
     parser.add_argument("--svg", help="the chart of the table, with --csv")
+    parser.add_argument("--gpu", help="times of `cuda-bench MODULE accuracy`, for the chart")
     parser.add_argument("--report", action="store_true", help="measure nothing: draw the table")
     arguments, others = parser.parse_known_args()
     if not arguments.report:
@@ -127,9 +148,13 @@ def main():
         if status != 0:
             sys.exit(status)
     if arguments.csv and arguments.svg:
-        draw = draw_accuracy if arguments.what == "accuracy" else draw_stability
-        words = ("integrator", "precision", "impact", "period", "row")
-        draw(records.read(arguments.csv, words), arguments.svg)
+        words = ("controller", "integrator", "precision", "impact", "period", "row")
+        rows = records.read(arguments.csv, words)
+        if arguments.what == "accuracy":
+            gpu = records.read(arguments.gpu, words) if arguments.gpu else []
+            draw_accuracy(rows, arguments.svg, gpu)
+        else:
+            draw_stability(rows, arguments.svg)
 
 
 if __name__ == "__main__":
