@@ -72,6 +72,26 @@ def test_errors_of_scores(daemon, worker, seed):
     assert rollouts > 10 * 10
 
 
+def test_scores_to_a_tolerance(daemon, worker, seed):
+    """Other machines compute the float32 rungs; steps and scores are those of one machine."""
+    value = {"designs": bodies(seed, 6), "physics": {"n_steps": 200, "dt_s": 0.004},
+             "tolerance": 0.002, "priority": "batch"}
+    with daemon("alone", workers=2) as one:
+        expected = one.score(value)
+        one.end()
+    rungs = [len(row["tolerance"]["rungs"]) for row in expected["results"]]
+    with daemon("remote", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
+        worker(fleet_address(one), "helper")
+        one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 1)
+        result = one.score(value)
+        assert result["results"] == expected["results"]
+        # Five rollouts in ten environments; the first of the second rung's are known.
+        further = sum(n > 1 for n in rungs)
+        assert further > 0, "a tolerance that the first rung reaches tests nothing"
+        assert one.json("/v1/fleet")["rollouts_done"] >= 50 * len(rungs) + 30 * further
+        one.end()
+
+
 def test_tasks(daemon, worker, seed):
     """Other machines compute every task, with the same bits."""
     tasks = ["walk", "climb", "circle", "path", "shuttle", "pursue"]
