@@ -216,7 +216,8 @@ static void print(struct live *live)
                    "generation, {settings.learning.schedule.kind} from "
                    "{settings.learning.schedule.peak:.4g} down to "
                    "{settings.learning.schedule.floor:.4g}"
-                   "[{settings.learning.worlds=environments}, in the campaign's environments]]"},
+                   "[{settings.learning.worlds=environments}, in the campaign's environments]"
+                   "[{settings.learning.worlds=tasks}, with the tasks of its environments]]"},
       {"varies", "[factors of stiffness {settings.learning.vary.stiffness.0:.3g} to "
                  "{settings.learning.vary.stiffness.1:.3g}, mass "
                  "{settings.learning.vary.mass.0:.3g} to {settings.learning.vary.mass.1:.3g}, drag "

@@ -252,9 +252,10 @@ static const struct option_spec campaign_start_options[] = {
     CAMPAIGN_OPTIONS{"checkpoint-seconds", 0, "N",
                      "Save the state of learning every N seconds; 0: at its end (default: 60).",
                      "learning.checkpoint_every_s", FIELD_WHOLE},
-    {"worlds", 0, "random|environments",
-     "Where robots learn: in random environments, or in those of the campaign (default if any has "
-     "a task, damage, factors, or a terrain other than rough or flat).",
+    {"worlds", 0, "random|environments|tasks",
+     "Where robots learn: in random environments, in those of the campaign (default if any has a "
+     "task, damage, factors, or a terrain other than rough or flat), or in random ones with their "
+     "tasks.",
      "learning.worlds"},
     {VARY("learning.vary")},
     {PHYSICS},

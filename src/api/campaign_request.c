@@ -388,7 +388,7 @@ static void choose_worlds(struct mo_json *json, struct mo_parsed_campaign *parse
     record->worlds = MO_WORLDS_RANDOM;
   else if (!is_given)
     record->worlds = usual_worlds(&parsed->parts);
-  if (record->worlds == MO_WORLDS_ENVIRONMENTS)
+  if (record->worlds != MO_WORLDS_RANDOM)
     mo_parts_check_gradients(json, &parsed->parts,
                              "; to select by this task but learn in random environments, set "
                              "{\"learning\": {\"worlds\": \"random\"}}");

@@ -128,9 +128,11 @@ static int begin_training(struct mo_campaign_run *run)
   if (error == MO_OK)
     error = mo_training_create(&settings, random != NULL ? random : run->controller, children(run),
                                run->n_children, &run->learning.learner.training);
+  struct mo_training *training = run->learning.learner.training;
   if (error == MO_OK && run->status.record.worlds == MO_WORLDS_ENVIRONMENTS)
-    error = mo_training_set_environments(run->learning.learner.training, run->environments,
-                                         run->n_environments);
+    error = mo_training_set_environments(training, run->environments, run->n_environments);
+  else if (error == MO_OK && run->status.record.worlds == MO_WORLDS_TASKS)
+    error = mo_training_set_tasks(training, run->environments, run->n_environments);
   mo_controller_free(random);
   return error;
 }

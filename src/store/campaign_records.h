@@ -26,10 +26,11 @@ struct mo_study_words {
 
 /* Where the robots of a campaign that learns are while they learn. */
 enum mo_worlds {
-  MO_WORLDS_RANDOM = 0,      /* each in its own random environment, following a fixed light */
-  MO_WORLDS_ENVIRONMENTS = 1 /* each in one of the campaign's environments, drawn at random */
+  MO_WORLDS_RANDOM = 0,       /* each in its own random environment, following a fixed light */
+  MO_WORLDS_ENVIRONMENTS = 1, /* each in one of the campaign's environments, drawn at random */
+  MO_WORLDS_TASKS = 2 /* each in its own random environment, with a task of the campaign's */
 };
-extern const char *const mo_worlds_words[]; /* "random", "environments", NULL */
+extern const char *const mo_worlds_words[]; /* "random", "environments", "tasks", NULL */
 
 /* The settings of a campaign. */
 struct mo_campaign_record {

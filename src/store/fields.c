@@ -70,8 +70,10 @@ static const struct mo_field campaign_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_aggregate_fields},
 };
 const struct mo_fields mo_campaign_record_fields = MO_FIELDS(campaign_rows);
-const char *const mo_worlds_words[] = {"random", "environments", NULL};
-#define WORLDS_HELP "where robots learn: in random environments, or in those of the campaign"
+const char *const mo_worlds_words[] = {"random", "environments", "tasks", NULL};
+#define WORLDS_HELP                                                                                \
+  "where robots learn: in random environments, in those of the campaign, or in random ones with "  \
+  "their tasks"
 static const struct mo_field stored_learning_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_learning_fields},
     {"checkpoint_every_s", MO_FIELD_COUNT, 0, AT(checkpoint_every_s), .min = 0,

@@ -91,6 +91,36 @@ def test_where_they_learn_by_default(service):
     assert frozen["settings"]["learning"] is None
 
 
+def test_tasks_on_random_terrains(service):
+    """Robots have the tasks of the campaign's environments, and terrains of their own: a
+    simultaneous campaign without further generations is a finetuning that learns these tasks."""
+    founders = [DESIGN, BAR]
+    tasks = ["walk", "path", "shuttle"]
+    schedule = {"kind": "constant", "peak": 1e-4, "warmup_steps": 0}
+    shared = {"physics": CAMPAIGN["physics"], "seed": 11}
+    tuned = run(service, "trainings", shared | {
+        "kind": "finetune", "designs": founders, "tasks": tasks, "steps": 3, "batch": 4,
+        "schedule": schedule, "validation": {"every_steps": 0}})
+
+    def learn(word, **terrain):
+        return evolve(service, shared | {
+            "mode": "simultaneous", "controller": "default", "population": 2, "generations": 0,
+            "initial": {"designs": founders}, "exclude_pretraining": False,
+            "environments": [{"task": task, **terrain} for task in tasks],
+            "learning": {"parent_steps": 1, "child_steps": 3, "batch": 4, "schedule": schedule,
+                         "worlds": word}})
+
+    campaign = learn("tasks")
+    assert campaign["settings"]["learning"]["worlds"] == "tasks"
+    steps = [row["mean_loss"] for row in service.pages(tuned["links"]["steps"])]
+    assert learning_of(service, campaign) == steps and len(steps) == 3
+    # The terrains of the environments count for the scores alone.
+    stairs = {"terrain": {"kind": "stairs-up"}}
+    assert learning_of(service, learn("tasks", **stairs)) == steps
+    assert learning_of(service, learn("environments", **stairs)) != steps
+    assert learning_of(service, learn("random", **stairs)) != steps
+
+
 def test_a_named_set_is_its_list(service):
     listed = service.get("/v1/environment-sets/morpho-12-hurdle")["items"]
     for world in listed:
@@ -111,7 +141,7 @@ def test_refusals(service):
     tilted = CAMPAIGN | {"environments": [*WORLDS, TILT]}
     refuse(tilted, "/environments/4/task/objective", "tilt_rad has no derivative")
     refuse(tilted, "/environments/4/task/objective", '{"worlds": "random"}')
-    refuse(worlds(CAMPAIGN, "paper"), "/learning/worlds", '"random" or "environments"')
+    refuse(worlds(CAMPAIGN, "paper"), "/learning/worlds", '"random", "environments" or "tasks"')
     refuse(CAMPAIGN | {"mode": "zero-shot"}, "/learning", "does not learn")
     done = evolve(service, worlds(tilted, "random") | {"generations": 0})
     assert done["state"] == "succeeded"
@@ -123,6 +153,8 @@ def test_kills_change_nothing(start, tmp_path, mode):
     threads."""
     value = CAMPAIGN | {"mode": mode, "generations": 3, "physics": {"n_steps": 800},
                         "learning": LEARNING | {"checkpoint_every_s": 1}}
+    if mode == "few-shot":
+        value = worlds(value, "tasks")
     whole = start("--workers=2")
     expected = history(whole, run(whole, "campaigns", value)["id"])
     id, seen, kills = None, (0, ""), 0
@@ -147,12 +179,12 @@ def test_in_a_bundle(service, start):
     environments keep the form that bundles always had."""
     ids = [evolve(service, value)["id"] for value in (
         CAMPAIGN, worlds(CAMPAIGN, "random") | {"measures": ["work_j"]},
-        CAMPAIGN | {"measures": ["work_j"]})]
+        CAMPAIGN | {"measures": ["work_j"]}, worlds(CAMPAIGN, "tasks"))]
     bundle = service.request("GET", f"/v1/bundles?campaigns={','.join(ids)}").body
     heads = [json.loads(content) for name, content in unpack(bundle)
              if name.endswith("campaign.json")]
     assert [head["settings"].get("learning_worlds") for head in heads] == [
-        "environments", None, "environments"]
+        "environments", None, "environments", "tasks"]
     other = start()
     entered = other.request("POST", "/v1/bundles?mode=enter", body=bundle,
                             headers={"Content-Type": "application/zstd"}).json()
@@ -191,3 +223,5 @@ def test_morphoctl(service, tmp_path):
     random = json.loads(ctl("start", "few-shot", *how, "--worlds", "random"))
     assert random["settings"]["learning"]["worlds"] == "random"
     assert "in the campaign's environments" not in ctl("show", random["id"])
+    tasks = json.loads(ctl("start", "few-shot", *how, "--worlds", "tasks"))
+    assert "with the tasks of its environments" in ctl("show", tasks["id"])
