@@ -218,16 +218,7 @@ static void print(struct live *live)
                    "{settings.learning.schedule.floor:.4g}"
                    "[{settings.learning.worlds=environments}, in the campaign's environments]"
                    "[{settings.learning.worlds=tasks}, with the tasks of its environments]]"},
-      {"varies", "[factors of stiffness {settings.learning.vary.stiffness.0:.3g} to "
-                 "{settings.learning.vary.stiffness.1:.3g}, mass "
-                 "{settings.learning.vary.mass.0:.3g} to {settings.learning.vary.mass.1:.3g}, drag "
-                 "{settings.learning.vary.drag.0:.3g} to {settings.learning.vary.drag.1:.3g}, "
-                 "gravity {settings.learning.vary.gravity.0:.3g} to "
-                 "{settings.learning.vary.gravity.1:.3g}, actuation "
-                 "{settings.learning.vary.actuation.0:.3g} to "
-                 "{settings.learning.vary.actuation.1:.3g}, friction "
-                 "{settings.learning.vary.friction.0:.3g} to "
-                 "{settings.learning.vary.friction.1:.3g}]"},
+      {"varies", VARY_WORDS("settings.learning.vary.")},
       {"progress", GENERATION_WORDS("progress.") ", {progress.designs:,} designs born"},
       {"now", CAMPAIGN_NOW_WORDS},
       {"end", "{end}"},

@@ -83,6 +83,18 @@ const char *event_words(const char *type);
   "[  {progress.rollouts_per_s>0:.0f} rollouts/s]"                                                 \
   "[  {progress.seconds_left:duration}"                                                            \
   "[{phase!=preparing:-} left|{progress.generation>0:-} left| until they are drawn]]]"
+/* The ranges of "vary" that vary. place: what has them. */
+#define VARY_FACTOR_WORDS(place, name)                                                             \
+  "[{" place name                                                                                  \
+  ".0!=1:-}" VARY_RANGE_WORDS(place, name) "|{" place name                                         \
+                                           ".1!=1:-}" VARY_RANGE_WORDS(place, name) "]"
+#define VARY_RANGE_WORDS(place, name) ", " name " {" place name ".0:.3g} to {" place name ".1:.3g}"
+#define VARY_WORDS(place)                                                                          \
+  "[{" place "mass.0:-}in each step" VARY_FACTOR_WORDS(place, "stiffness")                         \
+      VARY_FACTOR_WORDS(place, "mass") VARY_FACTOR_WORDS(place, "drag")                            \
+          VARY_FACTOR_WORDS(place, "gravity") VARY_FACTOR_WORDS(place, "actuation")                \
+              VARY_FACTOR_WORDS(place, "friction") "[" VARY_RANGE_WORDS(                           \
+                  place, "drop_m") "][" VARY_RANGE_WORDS(place, "slope_degrees") "]]"
 #define DONE_WORDS "{progress.total>0:-} {progress.done:,} of {progress.total:,}"
 
 #endif

@@ -28,9 +28,10 @@
   "idempotency-key", 0, "KEY",                                                                     \
       "A repeated request with the same key returns the same " job " (default: a new key)."
 #define VARY(place)                                                                                \
-  "vary", 0, "FACTOR=LOW:HIGH",                                                                    \
-      "Learn in worlds with factors drawn from a range, e.g. friction=0.5:1.2; FACTOR: "           \
-      "stiffness, mass, drag, gravity, actuation or friction; can be repeated.",                   \
+  "vary", 0, "NAME=LOW:HIGH",                                                                      \
+      "Learn in worlds that vary, drawn from a range, e.g. friction=0.5:1.2; NAME: a factor "      \
+      "(stiffness, mass, drag, gravity, actuation or friction), drop_m or slope_degrees; can be "  \
+      "repeated.",                                                                                 \
       place, FIELD_RANGES
 /* Options of films: how they are drawn; and options for the film of an evaluation. */
 #define LOOK                                                                                       \

@@ -135,8 +135,11 @@ static bool is_there(const json_t *value, const char *form)
              : json_is_number(value) || json_is_boolean(value) || json_string_length(value) > 0;
 }
 
+/* Returns whether a value is this text, boolean or number. */
 static bool is_word(const json_t *value, const char *word)
 {
+  if (json_is_number(value))
+    return json_number_value(value) == strtod(word, NULL);
   const char *text =
       json_is_boolean(value) ? (json_is_true(value) ? "true" : "false") : json_string_value(value);
   return text != NULL && strcmp(text, word) == 0;

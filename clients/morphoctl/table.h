@@ -15,8 +15,8 @@
  *
  * "[a|b|…]" is the first part whose values all exist, or nothing. A value exists if it is a number,
  * a boolean or a text that is not empty. {place>0} exists only above 0, {place!=word} only if it is
- * another word. {place=word}, and {!place} for a missing value, are only conditions. Outside
- * brackets a missing value is "", 0 for a count, and a dash for other numbers and times. */
+ * another word or number. {place=word}, and {!place} for a missing value, are only conditions.
+ * Outside brackets a missing value is "", 0 for a count, and a dash for other numbers and times. */
 #ifndef MORPHOCTL_TABLE_H
 #define MORPHOCTL_TABLE_H
 

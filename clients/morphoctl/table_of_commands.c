@@ -141,9 +141,10 @@ static const struct option_spec wait_options[] = {
      "the first job that did not succeed."},
     {NULL}};
 static const struct option_spec train_start_options[] = {
-    {"preset", 0, "workstation|phototaxis|paper",
+    {"preset", 0, "workstation|phototaxis|paper|robust",
      "Source of all options you leave out: workstation, the defaults below (default); phototaxis, "
-     "as the shipped controller was pretrained; paper, as in the paper.",
+     "as the shipped controller was pretrained; paper, as in the paper; robust, phototaxis in "
+     "worlds that vary.",
      "preset"},
     {"name", 0, "NAME", "Name of the resulting controller (default: training- and the id).",
      "name"},
@@ -254,8 +255,8 @@ static const struct option_spec campaign_start_options[] = {
                      "learning.checkpoint_every_s", FIELD_WHOLE},
     {"worlds", 0, "random|environments|tasks",
      "Where robots learn: in random environments, in those of the campaign (default if any has a "
-     "task, damage, factors, or a terrain other than rough or flat), or in random ones with their "
-     "tasks.",
+     "task, damage, factors, a drop, or a terrain other than rough or flat), or in random ones "
+     "with their tasks.",
      "learning.worlds"},
     {VARY("learning.vary")},
     {PHYSICS},

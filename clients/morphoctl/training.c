@@ -129,14 +129,7 @@ static void print(struct live *live)
                   "| of campaign {settings.population.campaign}]]"},
       {"worlds", "[{settings.environments}|{settings.environments.count} of the request"
                  "|{settings.tasks:#} tasks in random terrains]"},
-      {"varies", "[factors of stiffness {settings.vary.stiffness.0:.3g} to "
-                 "{settings.vary.stiffness.1:.3g}, mass {settings.vary.mass.0:.3g} to "
-                 "{settings.vary.mass.1:.3g}, drag {settings.vary.drag.0:.3g} to "
-                 "{settings.vary.drag.1:.3g}, gravity {settings.vary.gravity.0:.3g} "
-                 "to {settings.vary.gravity.1:.3g}, actuation "
-                 "{settings.vary.actuation.0:.3g} to {settings.vary.actuation.1:.3g}, "
-                 "friction {settings.vary.friction.0:.3g} to "
-                 "{settings.vary.friction.1:.3g}]"},
+      {"varies", VARY_WORDS("settings.vary.")},
       {"schedule", "{settings.schedule.kind}, {settings.schedule.peak:.4g} down to "
                    "{settings.schedule.floor:.4g}"},
       {"adam", "{settings.adam.beta1:.4g}, {settings.adam.beta2:.4g}, "

@@ -83,9 +83,9 @@ struct mo_learning {
   double beta1, beta2, epsilon;        /* Adam: 0.9, 0.999, 1e-8 */
   double norm_limit;                   /* limit of the batch gradient's global L2 norm; 1; 0: off */
   struct mo_gradient_options gradient; /* the defaults; weight 0: the mean over the batch */
-  struct mo_factor_ranges vary; /* the world of each robot of a step is multiplied by factors from
-                                   here (mo_factors_draw with the training's seed and the step);
-                                   worlds of validations are not. Default: none varies */
+  struct mo_factor_ranges vary; /* the world of each robot of a step gets a variation from here
+                                   (mo_variations_draw with the training's seed and the step);
+                                   worlds of validations do not. Default: nothing varies */
 };
 
 /* The defaults above, with a schedule. */
@@ -115,13 +115,16 @@ struct mo_training_settings {
  *                the next 22 times as long with 0.75 of the peak; beta1 0.8;
  *                MO_ADJOINT_RESTART above 8, weight 3. Only for pretraining: finetuning uses
  *                workstation's
- *   paper        1400 steps of 8192 by the paper's schedule; finetuning: 60; adjoint_bound 0 */
+ *   paper        1400 steps of 8192 by the paper's schedule; finetuning: 60; adjoint_bound 0
+ *   robust       phototaxis, in worlds that vary: friction 0.33 to 1.33, the other factors 0.7 to
+ *                1.3, drops to 0.2 m, slopes to 10 degrees. Only for pretraining, too */
 enum mo_learning_preset {
   MO_LEARNING_PRESET_WORKSTATION = 0,
   MO_LEARNING_PRESET_PHOTOTAXIS = 1,
-  MO_LEARNING_PRESET_PAPER = 2
+  MO_LEARNING_PRESET_PAPER = 2,
+  MO_LEARNING_PRESET_ROBUST = 3
 };
-/* "workstation", "phototaxis", "paper", NULL. */
+/* "workstation", "phototaxis", "paper", "robust", NULL. */
 extern const char *const mo_learning_preset_words[];
 struct mo_training_settings mo_training_preset(enum mo_training_kind kind,
                                                enum mo_learning_preset preset);
@@ -176,7 +179,8 @@ mo_training_controller(const struct mo_training *training); /* current weights; 
 
 /* Gives a new training environments of its own (copied; n: 1 … MO_TRAINING_ENVIRONMENTS_MAX; each
  * has passed mo_environment_check), for example with tasks. Robot i of step t then has one of them,
- * all equally likely: stream (seed, TRAINING_WORLD, t, i). Checkpoints keep them. MO_ERR_RANGE: n;
+ * all equally likely: stream (seed, TRAINING_WORLD, t, i). Checkpoints keep them. If the settings
+ * vary worlds, each has passed mo_environment_check_vary, too. MO_ERR_RANGE: n;
  * MO_ERR_CONFLICT: a step has been drawn already; MO_ERR_NO_MEMORY. */
 int mo_training_set_environments(struct mo_training *training,
                                  const struct mo_environment *environments, uint32_t n);

@@ -73,7 +73,7 @@ struct mo_constants {
 struct mo_physics {
   struct mo_scheme scheme;
   struct mo_constants constants;
-  double drop_height_m; /* 0: extra lift of the body at the start */
+  double drop_height_m; /* 0: extra lift of the body at the start, plus the environment's drop_m */
 };
 /* The settings for which requests that do not say otherwise are computed: `split`, 2000 steps of 2
  * ms. docs/performance.md compares their time and error with the paper's. */

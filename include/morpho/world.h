@@ -81,23 +81,38 @@ struct mo_factors {
 /* All factors are 1, and are given. */
 struct mo_factors mo_factors_ones(void);
 
-/* Ranges of factors to draw from, each {lowest, highest}; {1, 1}: it does not vary. */
+/* Ranges to draw worlds from, each {lowest, highest}: factors ({1, 1}: it does not vary), and what
+ * is added to an environment ({0, 0}: nothing). */
 struct mo_factor_ranges {
-  bool given; /* false: all are {1, 1} */
+  bool given; /* false: nothing varies */
   double stiffness[2], mass[2], drag[2], gravity[2], actuation[2], friction[2];
+  double drop_m[2];        /* 0 … MO_DROP_MAX_M; added to the environment's own */
+  double slope_degrees[2]; /* 0 … MO_VARY_DEGREES_MAX; the ground rises in a direction that is drawn
+                              as well, uniformly */
 };
-struct mo_factor_ranges mo_factors_constant(void); /* no factor varies */
+#define MO_VARY_DEGREES_MAX 30.0
+struct mo_factor_ranges mo_factors_constant(void); /* nothing varies */
 /* MO_ERR_INVALID or MO_ERR_RANGE; above: the struct's name in messages. */
 int mo_factor_ranges_check(const char *above, const struct mo_factor_ranges *ranges,
                            struct mo_message *message);
-/* Draws n factors by Latin hypercube sampling: each factor's range is divided into n parts of equal
- * length, from each of which one number is drawn, uniformly, and the parts of different factors are
+/* Draws n sets of factors by Latin hypercube sampling: each factor's range is divided into n equal
+ * parts, from each of which one number is drawn, uniformly, and the parts of different factors are
  * paired at random. Streams (seed, FACTORS, step, number of the factor). Equal inputs, equal bits.
- * MO_ERR_NO_MEMORY. */
+ * Drop and slope of the ranges are ignored. MO_ERR_NO_MEMORY. */
 int mo_factors_draw(const struct mo_factor_ranges *ranges, uint64_t seed, uint32_t step, uint32_t n,
                     struct mo_factors *factors);
 /* Returns the products of two sets of factors. */
 struct mo_factors mo_factors_times(const struct mo_factors *a, const struct mo_factors *b);
+
+/* What is drawn from ranges for one world. */
+struct mo_variation {
+  struct mo_factors factors;
+  double drop_m, slope_degrees, toward_rad; /* toward_rad: where the ground rises, from +x to +y */
+};
+/* Draws n variations: the factors of mo_factors_draw, and drop, slope and direction by the same
+ * method, from the streams with the next numbers. MO_ERR_NO_MEMORY. */
+int mo_variations_draw(const struct mo_factor_ranges *ranges, uint64_t seed, uint32_t step,
+                       uint32_t n, struct mo_variation *variations);
 
 struct mo_environment {
   double light_xy_m[2];
@@ -109,9 +124,22 @@ struct mo_environment {
   double profile_spacing_m; /* of a profile: MO_PROFILE_SPACING_MIN_M … MAX_M; of a grid: 0 */
   struct mo_damage damage;
   struct mo_factors factors;
+  double drop_m; /* extra lift of the body at the start, added to that of the physics; 0 …
+                    MO_DROP_MAX_M */
   const struct mo_terrain_grid *grid; /* nullable: the terrain is a custom grid. A copy of the
                                          struct borrows it; see mo_terrain_grid_hold */
 };
+
+#define MO_DROP_MAX_M 1.0
+
+/* Varies an environment: multiplies its factors, adds the drop and, if the slope is not 0, a plane
+ * to its heights, of which the lowest is MO_TERRAIN_FLOOR_M then. On failure nothing changes:
+ * MO_ERR_UNSUPPORTED (only grids of 8 × 8 heights can slope) or MO_ERR_RANGE (drop, height). */
+int mo_environment_vary(const struct mo_variation *by, struct mo_environment *environment);
+/* Returns whether all variations from the ranges suit the environment, except that their factors
+ * may be out of range: MO_ERR_UNSUPPORTED, MO_ERR_RANGE; message (nullable). */
+int mo_environment_check_vary(const struct mo_environment *environment,
+                              const struct mo_factor_ranges *ranges, struct mo_message *message);
 
 /* Makes a grid with one holder. heights_m: (rows, columns), copied. MO_ERR_INVALID (a number is not
  * finite), MO_ERR_RANGE or MO_ERR_NO_MEMORY. */
@@ -139,12 +167,13 @@ double mo_terrain_highest(const struct mo_environment *environment);
  * that a profile does not have is not 0) or MO_ERR_RANGE; *where (nullable): 0 and 1 for the
  * light's coordinates, 2 + k for height k, MO_ENVIRONMENT_TASK for the task, for which
  * mo_task_check has a message, MO_ENVIRONMENT_PROFILE for n_profile and profile_spacing_m (also
- * if both a profile and a custom grid are set), MO_ENVIRONMENT_DAMAGE for the damage, and
- * MO_ENVIRONMENT_FACTORS for the factors (also if all are 1 but given). */
+ * if both a profile and a custom grid are set), MO_ENVIRONMENT_DAMAGE for the damage,
+ * MO_ENVIRONMENT_FACTORS for the factors (also if all are 1 but given), and MO_ENVIRONMENT_DROP. */
 #define MO_ENVIRONMENT_TASK    (2 + MO_TERRAIN_HEIGHTS)
 #define MO_ENVIRONMENT_PROFILE (3 + MO_TERRAIN_HEIGHTS)
 #define MO_ENVIRONMENT_DAMAGE  (4 + MO_TERRAIN_HEIGHTS)
 #define MO_ENVIRONMENT_FACTORS (5 + MO_TERRAIN_HEIGHTS)
+#define MO_ENVIRONMENT_DROP    (6 + MO_TERRAIN_HEIGHTS)
 int mo_environment_check(const struct mo_environment *environment, uint32_t *where);
 
 /* Draws heights from N(0, σ), shifted so that the lowest is MO_TERRAIN_FLOOR_M; stream (seed,

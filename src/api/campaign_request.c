@@ -356,8 +356,8 @@ static void check_learning(struct mo_json *json, const struct mo_campaign_settin
 }
 
 /* Returns where robots learn by default: in the environments of the campaign if one of them has a
- * task, damage, factors, or a terrain other than rough or flat, which random environments do not
- * have. */
+ * task, damage, factors, a drop, or a terrain other than rough or flat, which random environments
+ * do not have. */
 static enum mo_worlds usual_worlds(struct mo_parts *parts)
 {
   const struct mo_environment *environments = parts->environments;

@@ -62,7 +62,7 @@ static int check(struct mo_json *json, void *any)
   if (mo_physics_check(&request->physics, &message) == MO_ERR_RANGE)
     mo_json_fault_at(json, 0, "/physics", "%s", message.text);
   else if (request->has_physics || request->record.population == 0)
-    mo_parts_check_factors(json, parts, &request->physics, NULL);
+    mo_parts_check_factors(json, &parsed->parts, &request->physics, NULL);
   /* Readers of the other settings have checked them. */
   if (json->faults->n == 0 && mo_certificate_check(&request->record.settings, &message) != MO_OK)
     mo_json_fault_at(json, 0, "/ranges", "%s", message.text);

@@ -108,8 +108,7 @@ static int suite_of(const struct mo_parts *parts)
 }
 
 /* Returns the number of environments, listed or of a set or suite. *highest_m: the highest ground
- * in them.
- */
+ * in them, with the drop onto it. */
 static uint32_t survey_worlds(struct mo_json *json, struct mo_parts *parts, double *highest_m)
 {
   struct mo_environment *of_set = NULL;
@@ -127,9 +126,10 @@ static uint32_t survey_worlds(struct mo_json *json, struct mo_parts *parts, doub
     parts->error = MO_ERR_NO_MEMORY;
     json->stop = true;
   }
-  for (uint32_t i = 0; i < n; i++)
-    *highest_m =
-        fmax(*highest_m, mo_terrain_highest(of_set != NULL ? &of_set[i] : &parts->environments[i]));
+  for (uint32_t i = 0; i < n; i++) {
+    const struct mo_environment *at = of_set != NULL ? &of_set[i] : &parts->environments[i];
+    *highest_m = fmax(*highest_m, mo_terrain_highest(at) + at->drop_m);
+  }
   free(of_set);
   return n;
 }

@@ -124,10 +124,11 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
       given.seed = true;
       mo_json_integer(json, 0, MO_SEED_MAX, &seed);
     } else if (!mo_environment_read_member(json, key, environment)) {
-      mo_fields_unknown(json,
-                        "task, damage, factors, light_xy_m, and terrain, terrain_heights_m or "
-                        "terrain_sigma_m with seed",
-                        NULL);
+      mo_fields_unknown(
+          json,
+          "task, damage, factors, drop_m, light_xy_m, and terrain, terrain_heights_m or "
+          "terrain_sigma_m with seed",
+          NULL);
     }
   }
   if (json->stop)
@@ -224,35 +225,39 @@ static void read_list(struct mo_json *json, const char *what,
   parts->n_environments = n < MO_ENVIRONMENTS_MAX ? n : MO_ENVIRONMENTS_MAX;
 }
 
-/* What multiplies the environments of a request. */
+/* How the environments of a request vary. */
 struct variation {
   struct mo_factor_ranges ranges;
   int64_t count, seed; /* count 0: as many as there are environments to vary */
 };
 
-/* Sets varied (MO_ENVIRONMENTS_MAX, empty) to `count` of the environments in turn, times factors
+/* Sets varied (MO_ENVIRONMENTS_MAX, empty) to `count` of the environments in turn, with variations
  * drawn from the ranges, and replaces the environments by them. MO_ERR_LIMIT: their grids have too
- * many heights. */
-static int vary(struct mo_parts *parts, const struct variation *by, struct mo_environment *varied)
+ * many heights. MO_ERR_UNSUPPORTED, MO_ERR_RANGE: environment *at cannot vary like this; `message`
+ * says why. */
+static int vary(struct mo_parts *parts, const struct variation *by, struct mo_environment *varied,
+                uint32_t *at, struct mo_message *message)
 {
-  struct mo_factors factors[MO_ENVIRONMENTS_MAX];
+  struct mo_variation variations[MO_ENVIRONMENTS_MAX];
   uint32_t n_base = parts->n_environments;
   if (parts->environments != NULL)
     memcpy(varied, parts->environments, n_base * sizeof(*varied));
   else
     n_base = mo_environment_set(mo_word_index(mo_set_words, mo_parts_set(parts)), varied);
   const uint32_t n = by->count > 0 ? (uint32_t)by->count : n_base;
-  const int error = mo_factors_draw(&by->ranges, (uint64_t)by->seed, 0, n, factors);
-  if (error != MO_OK)
-    return error;
+  int error = mo_variations_draw(&by->ranges, (uint64_t)by->seed, 0, n, variations);
+  for (*at = 0; *at < n_base && *at < n && error == MO_OK; *at += error == MO_OK)
+    error = mo_environment_check_vary(&varied[*at], &by->ranges, message);
   for (uint32_t i = n_base; i < n; i++)
     varied[i] = varied[i - n_base];
   size_t n_heights = 0;
-  for (uint32_t i = 0; i < n; i++) {
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
     const struct mo_terrain_grid *grid = varied[i].grid;
-    varied[i].factors = mo_factors_times(&varied[i].factors, &factors[i]);
+    error = mo_environment_vary(&variations[i], &varied[i]);
     n_heights += grid != NULL ? (size_t)grid->columns * grid->rows : 0;
   }
+  if (error != MO_OK)
+    return error;
   if (n_heights > MO_GRIDS_HEIGHTS_MAX)
     return MO_ERR_LIMIT;
   if (n < n_base)
@@ -274,7 +279,7 @@ static void read_variation(struct mo_json *json, struct mo_parts *parts)
   const unsigned depth = json->depth, before = json->faults->n;
   struct variation by = {.ranges = mo_factors_constant(), .seed = 1};
   const bool takes_suites = parts->takes_suites;
-  struct mo_message message;
+  struct mo_message message = {""};
   struct mo_json_slice key;
   parts->takes_suites = false;
   mo_json_object(json);
@@ -286,7 +291,7 @@ static void read_variation(struct mo_json *json, struct mo_parts *parts)
       read_environments(json, parts);
     } else if (mo_json_is(key, "vary")) {
       by.ranges.given = true;
-      mo_fields_read(json, &mo_factor_range_fields, &by.ranges);
+      mo_fields_read(json, &mo_vary_fields, &by.ranges);
     } else if (mo_json_is(key, "count")) {
       mo_json_integer(json, 1, MO_ENVIRONMENTS_MAX, &by.count);
     } else if (mo_json_is(key, "seed")) {
@@ -304,10 +309,16 @@ static void read_variation(struct mo_json *json, struct mo_parts *parts)
     mo_json_fault_at(json, depth, "/vary", "%s", message.text);
   else {
     struct mo_environment *varied = calloc(MO_ENVIRONMENTS_MAX, sizeof(*varied));
-    const int error = varied != NULL ? vary(parts, &by, varied) : MO_ERR_NO_MEMORY;
+    uint32_t at = 0;
+    const int error = varied != NULL ? vary(parts, &by, varied, &at, &message) : MO_ERR_NO_MEMORY;
     if (error == MO_OK)
       return;
     free(varied);
+    if (error == MO_ERR_UNSUPPORTED || error == MO_ERR_RANGE) {
+      mo_json_fault_at(json, depth, "/vary", "environment %u of those that vary: %s", at,
+                       message.text);
+      return;
+    }
     if (error == MO_ERR_LIMIT) {
       mo_json_fault_at(json, depth, "/count", TOO_MANY_HEIGHTS, MO_GRIDS_HEIGHTS_MAX);
       return;

@@ -135,6 +135,18 @@ static void compare_damage(struct comparison *comparison, uint32_t place,
     add(comparison, pointer, a, b);
 }
 
+static void compare_number(struct comparison *comparison, uint32_t place, const char *below,
+                           const double *given, const double *known)
+{
+  char pointer[96], a[VALUE_SHOWN], b[VALUE_SHOWN];
+  if (*given == *known)
+    return;
+  snprintf(pointer, sizeof(pointer), "/environments/%u/%s", place, below);
+  show(given, 1, a);
+  show(known, 1, b);
+  add(comparison, pointer, a, b);
+}
+
 static void compare_factors(struct comparison *comparison, uint32_t place,
                             const struct mo_environment *given, const struct mo_environment *known)
 {
@@ -143,15 +155,10 @@ static void compare_factors(struct comparison *comparison, uint32_t place,
   const struct mo_factors *theirs = known->factors.given ? &known->factors : &ones;
   for (size_t i = 0; i < mo_factor_fields.n; i++) {
     const struct mo_field *row = &mo_factor_fields.rows[i];
-    char pointer[64], a[VALUE_SHOWN], b[VALUE_SHOWN];
-    const double *x = (const void *)((const char *)ours + row->offset);
-    const double *y = (const void *)((const char *)theirs + row->offset);
-    if (*x == *y)
-      continue;
-    snprintf(pointer, sizeof(pointer), "/environments/%u/factors/%s", place, row->name);
-    show(x, 1, a);
-    show(y, 1, b);
-    add(comparison, pointer, a, b);
+    char below[48];
+    snprintf(below, sizeof(below), "factors/%s", row->name);
+    compare_number(comparison, place, below, (const void *)((const char *)ours + row->offset),
+                   (const void *)((const char *)theirs + row->offset));
   }
 }
 
@@ -178,7 +185,7 @@ static void compare_terrains(struct comparison *comparison, uint32_t place,
   describe_terrain(given, a);
   describe_terrain(known, b);
   snprintf(pointer, sizeof(pointer), "/environments/%u/terrain", place);
-  if (strcmp(a, b) != 0) {
+  if (strcmp(a, b) != 0 || (given->grid == NULL) != (known->grid == NULL)) {
     add(comparison, pointer, a, b);
     return;
   }
@@ -215,6 +222,7 @@ static void compare_environment(struct comparison *comparison, uint32_t place,
   compare_tasks(comparison, place, given, known);
   compare_damage(comparison, place, given, known);
   compare_factors(comparison, place, given, known);
+  compare_number(comparison, place, "drop_m", &given->drop_m, &known->drop_m);
 }
 
 static void compare_environments(struct comparison *comparison, const struct mo_parts *parts,

@@ -50,10 +50,12 @@ static void check_finetune(struct mo_json *json, const struct mo_parsed_training
     mo_json_fault_at(json, 0, "/controller",
                      "must not be null, because a finetuning starts from a controller; give its "
                      "name, or sha256: and 64 hexadecimal digits");
-  if (parsed->preset == MO_LEARNING_PRESET_PHOTOTAXIS)
+  if (parsed->preset == MO_LEARNING_PRESET_PHOTOTAXIS ||
+      parsed->preset == MO_LEARNING_PRESET_ROBUST)
     mo_json_fault_at(json, 0, "/preset",
-                     "\"phototaxis\" is a preset of pretraining; use \"workstation\" or \"paper\" "
-                     "for a finetuning");
+                     "\"%s\" is a preset of pretraining; use \"workstation\" or \"paper\" for a "
+                     "finetuning",
+                     mo_learning_preset_words[parsed->preset]);
 }
 
 static void check_pretrain(struct mo_json *json, const struct mo_parsed_training *parsed)
@@ -92,7 +94,7 @@ static int check(struct mo_json *json, void *any)
                      "must be left out, because a training with environments of its own is "
                      "validated in all of them");
   settings->learning.vary.given = mo_factors_vary(&settings->learning.vary);
-  mo_parts_check_factors(json, parts, &settings->physics, &settings->learning.vary);
+  mo_parts_check_factors(json, &parsed->parts, &settings->physics, &settings->learning.vary);
   mo_parts_check_gradients(json, parts, "");
   if (!parsed->has_kind)
     mo_json_fault_at(json, 0, "", "kind is missing; it must be \"pretrain\" or \"finetune\"");

@@ -100,8 +100,8 @@ uint32_t mo_fresh_count(const struct mo_certificate_base *base, uint32_t wanted)
 const char *mo_fresh_kind(const struct mo_certificate_base *base)
 {
   if (base->set == NULL)
-    return "the fresh worlds are drawn as training draws them, with the tasks, damage and factors "
-           "of the list in turn";
+    return "the fresh worlds are drawn as training draws them, with the tasks, damage, "
+           "factors and drops of the list in turn";
   if (is_paper_test(base->set))
     return "the fresh worlds are drawn as training draws them: lights 0.4 to 2 m away, not 1.5 or "
            "2 m";
@@ -117,6 +117,7 @@ int mo_fresh_worlds(const struct mo_certificate_base *base, uint64_t seed, uint3
     for (uint32_t k = 0; k < n; k++) {
       environments[k].damage = tasks[k % base->n_environments].damage;
       environments[k].factors = tasks[k % base->n_environments].factors;
+      environments[k].drop_m = tasks[k % base->n_environments].drop_m;
     }
     return MO_OK;
   }

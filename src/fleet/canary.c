@@ -78,7 +78,8 @@ static void set_objective(uint32_t lane, enum mo_back_end back_end, struct mo_ta
 }
 
 /* Gives an environment a task: in each body, the last lanes have one of each kind of guide. Every
- * fourth lane has a profile, every fourth has damage, and every fifth has factors. */
+ * fourth lane has a profile, every fourth has damage, every fifth has factors, and every third has
+ * a drop. */
 static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environment *environment)
 {
   static const char *const words[] = {"photo-auc", "walk", "circle", "path", "pursue", "climb"};
@@ -93,6 +94,8 @@ static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environ
     environment->damage = (struct mo_damage){1 + lane % MO_OCTANTS, 0.1};
   if (lane % 5 == 2)
     environment->factors = (struct mo_factors){1, 0.8, 1.25, 1.5, 0.9, 1.1, 0.5};
+  if (lane % 3 == 1)
+    environment->drop_m = 0.05;
   set_objective(lane, back_end, &environment->task);
 }
 

@@ -14,7 +14,7 @@
 
 /* Raised with every change of the messages, the wire format or the canary. Workers of any version
  * of the program may join if they use this protocol and compute the same bits. */
-#define MO_FLEET_PROTOCOL 6
+#define MO_FLEET_PROTOCOL 7
 
 #define MO_FLEET_SESSIONS_MAX 4096
 #define MO_FLEET_TOKEN_MAX    2048 /* sessions opened with one token */

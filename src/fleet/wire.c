@@ -320,8 +320,8 @@ static int get_environments(struct codec *codec, struct mo_wire_lease *lease, un
           mo_fail(message, MO_ERR_FORMAT,
                   "lease %u, environment %u: the terrain is neither a grid nor a profile", i, e);
     else if (where > MO_ENVIRONMENT_PROFILE)
-      error = mo_fail(message, MO_ERR_FORMAT, "lease %u, environment %u: invalid damage or factors",
-                      i, e);
+      error = mo_fail(message, MO_ERR_FORMAT,
+                      "lease %u, environment %u: invalid damage, factors or drop", i, e);
     else
       error = mo_fail(message, MO_ERR_FORMAT,
                       "lease %u, environment %u: number %u must be finite and within its limit", i,

@@ -102,12 +102,12 @@ static int prepare(struct mo_training *training, struct mo_hand *hand)
   const bool draws = training->draws_worlds || varies;
   if (draws && hand->environments == NULL)
     hand->environments = calloc(batch, sizeof(*hand->environments));
-  if (varies && hand->factors == NULL)
-    hand->factors = calloc(batch, sizeof(*hand->factors));
+  if (varies && hand->variations == NULL)
+    hand->variations = calloc(batch, sizeof(*hand->variations));
   if (hand->robots == NULL)
     hand->robots = calloc(batch, sizeof(*hand->robots));
   return (pretrain ? hand->drawn == NULL || hand->bodies == NULL : training->bodies == NULL) ||
-                 (draws && hand->environments == NULL) || (varies && hand->factors == NULL) ||
+                 (draws && hand->environments == NULL) || (varies && hand->variations == NULL) ||
                  hand->robots == NULL
              ? MO_ERR_NO_MEMORY
              : MO_OK;
@@ -146,7 +146,7 @@ static const struct mo_environment *choose(const struct mo_training *training, u
 
 static void make_environments(void *context, size_t first, size_t end)
 {
-  const struct making *making = context;
+  struct making *making = context;
   const struct mo_training *training = making->training;
   for (size_t i = first; i < end; i++) {
     struct mo_environment *environment = &making->hand->environments[i];
@@ -158,8 +158,11 @@ static void make_environments(void *context, size_t first, size_t end)
     } else {
       *environment = *choose(training, step, (uint32_t)i); /* borrows its grid */
     }
-    if (making->hand->factors != NULL)
-      environment->factors = mo_factors_times(&environment->factors, &making->hand->factors[i]);
+    const int r = making->hand->variations != NULL
+                      ? mo_environment_vary(&making->hand->variations[i], environment)
+                      : MO_OK;
+    if (r < 0)
+      atomic_store(&making->error, r);
   }
 }
 
@@ -174,14 +177,17 @@ static int make_robots(struct mo_training *training, struct mo_hand *hand)
                           .bodies = pretrain ? hand->bodies : training->bodies};
   mo_parallel(training->n_threads, n_bodies, make_bodies, &making);
   int r = atomic_load(&making.error);
-  if (r == MO_OK && hand->factors != NULL)
-    r = mo_factors_draw(&settings->learning.vary, settings->seed, hand->step, settings->batch,
-                        hand->factors);
+  if (r == MO_OK && hand->variations != NULL)
+    r = mo_variations_draw(&settings->learning.vary, settings->seed, hand->step, settings->batch,
+                           hand->variations);
   if (r < 0)
     return r;
   const bool draws = hand->environments != NULL;
   if (draws)
     mo_parallel(training->n_threads, settings->batch, make_environments, &making);
+  r = atomic_load(&making.error);
+  if (r < 0)
+    return r;
   const uint64_t first = (uint64_t)hand->step * settings->batch;
   for (uint32_t i = 0; i < settings->batch; i++) {
     const size_t body = pretrain ? i : (first + i) % n_bodies;
@@ -295,7 +301,7 @@ void mo_training_draw_free(struct mo_training *training)
     free(hand->drawn);
     free(hand->bodies);
     free(hand->environments);
-    free(hand->factors);
+    free(hand->variations);
     free(hand->robots);
   }
   mo_body_stream_free(training->stream);

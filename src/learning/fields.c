@@ -131,8 +131,8 @@ static const struct mo_field learning_rows[] = {
      .max = MO_GRADIENT_NORM_LIMIT_MAX, .unit = "",
      .help = "largest norm of a step's gradient; 0: no limit"},
     {NULL, MO_FIELD_INLINE, 0, AT(gradient), .group = &mo_gradient_fields},
-    {"vary", MO_FIELD_GROUP, MO_FIELD_NULL, AT(vary), .group = &mo_factor_range_fields, .unit = "",
-     .help = "ranges of the factors of each robot's world"},
+    {"vary", MO_FIELD_OWN, 0, AT(vary), .group = &mo_vary_fields, .own = &mo_vary_own, .unit = "",
+     .help = "ranges of factors, drop and slope of each robot's world"},
 };
 #undef AT
 const struct mo_fields mo_learning_fields = MO_FIELDS(learning_rows);

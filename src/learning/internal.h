@@ -36,7 +36,7 @@ struct mo_training {
     struct mo_body **bodies; /* pretrain: (batch); NULL: not built yet */
     struct mo_environment *environments; /* (batch) drawn or varied; NULL: the robots have the
                                             training's own */
-    struct mo_factors *factors;          /* (batch) drawn; NULL: none varies */
+    struct mo_variation *variations;     /* (batch) drawn; NULL: nothing varies */
     struct mo_robot *robots;             /* (batch) */
     uint64_t draws;                      /* pretrain: draws of the stream up to the step's end */
     bool ready;                          /* `robots` is complete */

@@ -10,7 +10,8 @@
 
 /* ---- presets ---- */
 
-const char *const mo_learning_preset_words[] = {"workstation", "phototaxis", "paper", NULL};
+const char *const mo_learning_preset_words[] = {"workstation", "phototaxis", "paper", "robust",
+                                                NULL};
 
 struct mo_learning mo_learning_defaults(enum mo_schedule_preset schedule)
 {
@@ -62,6 +63,20 @@ static void set_phototaxis(struct mo_training_settings *settings)
   settings->learning.gradient.restart_weight = 3.0;
 }
 
+static void set_robust(struct mo_training_settings *settings)
+{
+  set_phototaxis(settings);
+  settings->learning.vary = (struct mo_factor_ranges){.given = true,
+                                                      .stiffness = {0.7, 1.3},
+                                                      .mass = {0.7, 1.3},
+                                                      .drag = {0.7, 1.3},
+                                                      .gravity = {0.7, 1.3},
+                                                      .actuation = {0.7, 1.3},
+                                                      .friction = {0.33, 1.33},
+                                                      .drop_m = {0, 0.2},
+                                                      .slope_degrees = {0, 10}};
+}
+
 static void set_paper(struct mo_training_settings *settings)
 {
   const bool finetune = settings->kind == MO_TRAINING_FINETUNE;
@@ -78,6 +93,8 @@ struct mo_training_settings mo_training_preset(enum mo_training_kind kind,
   struct mo_training_settings settings = mo_training_defaults(kind);
   if (preset == MO_LEARNING_PRESET_PHOTOTAXIS && kind == MO_TRAINING_PRETRAIN)
     set_phototaxis(&settings);
+  else if (preset == MO_LEARNING_PRESET_ROBUST && kind == MO_TRAINING_PRETRAIN)
+    set_robust(&settings);
   else if (preset == MO_LEARNING_PRESET_PAPER)
     set_paper(&settings);
   return settings;

@@ -26,7 +26,7 @@ void mo_scene_start(const struct mo_body *body, const struct mo_environment *env
     lift = fmax(lift, mo_terrain_height(environment, p[0], p[1]) - p[2]);
   }
   for (uint32_t i = 0; i < body->n_masses; i++)
-    position_m[3 * (size_t)i + 2] += lift + physics->drop_height_m;
+    position_m[3 * (size_t)i + 2] += lift + mo_scene_drop_m(environment, physics);
 }
 
 struct mo_constants mo_scene_constants(const struct mo_environment *environment,

@@ -8,9 +8,17 @@
 #include <morpho/rollout.h>
 
 /* Computes start positions (n_masses, 3): the workspace is centered at (2.5, 2.5) m and lifted just
- * enough that no mass is below the terrain, plus the drop height. */
+ * enough that no mass is below the terrain, plus the drop. */
 void mo_scene_start(const struct mo_body *body, const struct mo_environment *environment,
                     const struct mo_physics *physics, double *position_m);
+
+/* Returns how far above the ground a rollout starts: the drop height of the physics plus the
+ * environment's. Every path takes it from here. */
+static inline double mo_scene_drop_m(const struct mo_environment *environment,
+                                     const struct mo_physics *physics)
+{
+  return physics->drop_height_m + environment->drop_m;
+}
 
 /* Returns the constants of a rollout: those of the physics times the environment's factors. Every
  * path takes them from here. */

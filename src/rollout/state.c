@@ -194,7 +194,8 @@ int mo_window_check(const struct mo_state *state, const struct mo_body *body,
   if (!is_same(s->terrain_key, here.terrain_key))
     return mo_fail(message, MO_ERR_INVALID,
                    "its terrain or factors differ from those of the environment; only the light, "
-                   "the task and the damage may change: start without a state in a new world");
+                   "the task, the damage and drop_m may change: start without a state in a new "
+                   "world");
   const int status = check_numbers(s, message);
   if (status != MO_OK)
     return status;

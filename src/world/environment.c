@@ -71,7 +71,12 @@ _Static_assert(MO_TERMS_MAX == 8, "each term has a row");
 static const struct mo_field given_rows[] = {
     {"factors_given", MO_FIELD_COUNT, 0, AT(factors.given), .since = 7},
 };
+static const struct mo_field drop_rows[] = {
+    {"drop_m", MO_FIELD_NUMBER, 0, AT(drop_m), .max = MO_DROP_MAX_M, .since = 8, .unit = "m",
+     .help = "extra lift of the robot at the start"},
+};
 #undef AT
+const struct mo_fields mo_drop_fields = MO_FIELDS(drop_rows);
 static const struct mo_fields given_fields = MO_FIELDS(given_rows);
 static const struct mo_fields sum_fields = MO_FIELDS(sum_rows);
 static const struct mo_fields damage_fields = MO_FIELDS(damage_rows);
@@ -86,6 +91,7 @@ static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &given_fields, .since = 7},
     {NULL, MO_FIELD_INLINE, 0, offsetof(struct mo_environment, factors), .group = &mo_factor_fields,
      .since = 7},
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_drop_fields, .since = 8},
 };
 const struct mo_fields mo_environment_fields = MO_FIELDS(rows);
 
@@ -170,6 +176,10 @@ int mo_environment_check(const struct mo_environment *environment, uint32_t *whe
   if (error == MO_OK) {
     wrong = MO_ENVIRONMENT_FACTORS;
     error = mo_factors_check(&environment->factors);
+  }
+  if (error == MO_OK) {
+    wrong = MO_ENVIRONMENT_DROP;
+    error = mo_fields_check(&mo_drop_fields, "", environment, NULL);
   }
   if (error != MO_OK && where != NULL)
     *where = wrong;

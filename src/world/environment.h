@@ -17,18 +17,21 @@ enum { MO_PLACE_LIGHT, MO_PLACE_HEIGHTS }; /* its first rows */
  * grid if its terrain is a profile. Those have members of their own in JSON (task_json.h). */
 bool mo_place_has(const struct mo_environment *environment, size_t row);
 
+/* The drop, for JSON and the packed form. */
+extern const struct mo_fields mo_drop_fields;
+
 /* The whole environment, except for a custom grid. task_json.h: in JSON. */
 extern const struct mo_fields mo_environment_fields;
 /* The value that a newly added field has where it is not given. */
 extern const struct mo_environment mo_environment_defaults;
 
 /* The packed form, for hashed encodings, checkpoints and the messages of workers. It is that of the
- * fields (base/fields.h): 66 float64, from version 2 on the task, from version 3 on the shape of
- * the terrain, from version 4 on the damage, from version 5 on the terms of a sum, and from version
- * 7 on the factors. From version 6 on, 16 bytes follow, columns and rows of the grid (uint32_t) and
- * its spacing (double), which are 0 without a custom grid, and then its heights (double). */
+ * fields (base/fields.h): 66 float64; from version 2 on the task, 3: the shape of the terrain, 4:
+ * the damage, 5: the terms of a sum, 7: the factors, 8: the drop. From version 6 on, 16 bytes
+ * follow, columns and rows of the grid (uint32_t) and its spacing (double), which are 0 without a
+ * custom grid, and then its heights (double). */
 #define MO_ENVIRONMENT_GRID_VERSION 6
-#define MO_ENVIRONMENT_VERSION      7 /* the newest: rows that are added later raise it */
+#define MO_ENVIRONMENT_VERSION      8 /* the newest: rows that are added later raise it */
 /* Upper bound on the bytes before a grid's heights. */
 #define MO_ENVIRONMENT_HEAD_BYTES (sizeof(struct mo_environment) + 16)
 

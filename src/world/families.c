@@ -234,14 +234,14 @@ static void lift(double heights_m[N])
     heights_m[k] = (heights_m[k] - lowest) + MO_TERRAIN_FLOOR_M;
 }
 
-/* Adds a plane that rises toward toward_rad to a grid. The direction is that of an eighth of the
- * angle, doubled three times, because the series are for small angles. */
-static void tilt(const struct mo_terrain_recipe *recipe, double heights_m[N])
+/* The direction is that of an eighth of the angle, doubled three times, because the series are for
+ * small angles. */
+void mo_terrain_tilt(double degrees, double toward_rad, double heights_m[N])
 {
-  const double rise = tangent(recipe->degrees * RADIANS_PER_DEGREE);
+  const double rise = tangent(degrees * RADIANS_PER_DEGREE);
   const double spacing_m = MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1);
   double sine, cosine;
-  sine_cosine(recipe->toward_rad / 8, &sine, &cosine);
+  sine_cosine(toward_rad / 8, &sine, &cosine);
   for (int i = 0; i < 3; i++) {
     const double twice = 2 * sine * cosine;
     cosine = cosine * cosine - sine * sine;
@@ -271,7 +271,7 @@ static int draw_grid(const struct mo_terrain_recipe *recipe, double heights_m[N]
     return error;
   mo_terrain_random(recipe->seed, 0, 0, is_flat ? 0 : recipe->sigma_m, heights_m);
   if (recipe->degrees != 0)
-    tilt(recipe, heights_m);
+    mo_terrain_tilt(recipe->degrees, recipe->toward_rad, heights_m);
   for (int k = 0; k < N; k++)
     if (heights_m[k] > MO_HEIGHT_LIMIT_M)
       return mo_fail(message, MO_ERR_RANGE, "a drawn height exceeds %g m; use another seed",

@@ -421,7 +421,8 @@ bool mo_environment_read_member(struct mo_json *json, struct mo_json_slice key,
     read_factors(json, environment);
     return true;
   }
-  return mo_fields_read_member(json, key, &mo_place_fields, environment);
+  return mo_fields_read_member(json, key, &mo_drop_fields, environment) ||
+         mo_fields_read_member(json, key, &mo_place_fields, environment);
 }
 
 /* ---- writing ---- */
@@ -492,4 +493,6 @@ void mo_environment_write_tasks(struct mo_text *text, const struct mo_environmen
   }
   if (environment->factors.given != 0)
     write_factors(text, &environment->factors);
+  if (environment->drop_m != 0)
+    mo_fields_write(text, &mo_drop_fields, environment);
 }

@@ -29,9 +29,9 @@ bool mo_environment_read_member(struct mo_json *json, struct mo_json_slice key,
                                 struct mo_environment *environment);
 /* Writes the members of an environment, with commas between them: light_xy_m unless the guide has
  * it or needs none, terrain_heights_m or, of a profile, terrain, the task unless it is plain,
- * damage if there is any, and factors if any is not 1. */
+ * damage if there is any, factors if any is not 1, and drop_m if it is not 0. */
 void mo_environment_write_members(struct mo_text *text, const struct mo_environment *environment);
-/* Writes only terrain, task, damage and factors. */
+/* Writes only terrain, task, damage, factors and drop_m. */
 void mo_environment_write_tasks(struct mo_text *text, const struct mo_environment *environment);
 
 #endif

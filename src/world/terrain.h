@@ -9,6 +9,11 @@
 #define MO_TERRAIN_FAMILY_WORDS                                                                    \
   "rough", "flat", "slope", "stairs-up", "stairs-down", "hurdles", "gaps", "steps"
 
+/* Adds a plane that rises toward toward_rad (from +x to +y; |toward_rad| ≤
+ * MO_TERRAIN_TOWARD_MAX_RAD) to a grid, and shifts it so that the lowest height is
+ * MO_TERRAIN_FLOOR_M. degrees: −45 … 45. */
+void mo_terrain_tilt(double degrees, double toward_rad, double heights_m[MO_TERRAIN_HEIGHTS]);
+
 struct mo_terrain_axis {
   double from_m;      /* coordinates count from here; 0, except for a custom grid */
   double size_m;      /* they are clamped to 0 … size_m */

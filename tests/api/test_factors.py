@@ -1,5 +1,7 @@
-"""Factors of an environment: scores, what is stored and reported, refusals, windows and studies."""
+"""Factors and drops of an environment, and worlds that vary: scores, what is stored and reported,
+refusals, windows and studies."""
 
+import numpy as np
 import pytest
 
 from service import DESIGN, await_end, awaited
@@ -52,6 +54,50 @@ def test_what_is_reported(service):
     world = {key: value for key, value in worlds[0].items() if key != "sha256"}
     again = evaluate(service, world)
     assert again["results"][0]["losses"] == job["results"][0]["losses"][:1]
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_drops_are_those_of_the_physics(service, precision):
+    """Also where environments with different drops share a block, and added to drop_height_m."""
+    places = [PLACE, PLACE | {"drop_m": 0.05}, PLACE | {"drop_m": 0.2}]
+    losses = evaluate(service, *places, precision=precision)["results"][0]["losses"]
+    assert len(set(losses)) == 3
+    for drop, loss in zip((0, 0.05, 0.2), losses):
+        job = evaluate(service, PLACE, precision=precision,
+                       physics=PHYSICS | {"drop_height_m": drop})
+        assert job["results"][0]["losses"] == [loss]
+    physics = PHYSICS | {"drop_height_m": 0.25}
+    half = evaluate(service, places[1], precision=precision, physics=PHYSICS | {
+        "drop_height_m": 0.25 - 0.0625}, environments=[PLACE | {"drop_m": 0.0625}])
+    whole = evaluate(service, PLACE, precision=precision, physics=physics)
+    assert half["results"][0]["losses"] == whole["results"][0]["losses"]
+
+
+def test_drops_are_reported(service):
+    job = evaluate(service, PLACE | {"drop_m": 0.125}, PLACE | {"drop_m": 0}, PLACE)
+    worlds = service.get(f"/v1/evaluations/{job['id']}/environments")["items"]
+    assert worlds[0]["drop_m"] == 0.125 and "drop_m" not in worlds[1]
+    assert worlds[1]["sha256"] == worlds[2]["sha256"] != worlds[0]["sha256"]
+    assert service.get("/v1/environments/" + worlds[0]["sha256"]) == worlds[0]
+    reply = service.request("POST", "/v1/rollouts", {
+        "designs": [TALL], "environments": [PLACE | {"drop_m": 0.125}], "physics": PHYSICS})
+    assert reply.json()["environments"][0]["drop_m"] == 0.125
+
+
+@pytest.mark.parametrize("drop", [-0.1, 1.1, "high", None])
+def test_drops_are_refused(service, drop):
+    reply = service.request("POST", "/v1/evaluations", {
+        "designs": [DESIGN], "environments": [PLACE | {"drop_m": drop}]})
+    assert reply.status == 422 and reply.pointers() == ["/environments/0/drop_m"]
+
+
+def test_drops_count_as_heights(service):
+    """Estimates of errors in float32 need starts below 1 m; a drop counts like the drop height."""
+    value = {"designs": [TALL], "physics": PHYSICS, "error": True, "device": "cpu"}
+    for more in ({"environments": [PLACE | {"drop_m": 1}]},
+                 {"environments": [PLACE], "physics": PHYSICS | {"drop_height_m": 1}}):
+        reply = service.request("POST", "/v1/evaluations", value | more)
+        assert reply.status == 422 and "float64" in reply.json()["errors"][0]["detail"]
 
 
 @pytest.mark.parametrize("factors, pointer, says", [
@@ -158,8 +204,74 @@ def test_sets_are_varied(service):
     assert worlds[0]["factors"] == {"mass": 0.5}
 
 
+def test_drops_and_slopes_vary(service):
+    """Drops in each part of their range; slopes of the ground as terrains of a family have them."""
+    flat = {"light_xy_m": [4.0, 2.5], "terrain": {"kind": "flat"}, "drop_m": 0.25}
+    ranges = {"drop_m": [0.1, 0.3], "slope_degrees": [5, 10]}
+    request = {"of": [flat], "vary": ranges, "count": 64}
+    worlds = drawn(service, request)
+    parts = [int((world["drop_m"] - 0.35) / 0.2 * 64) for world in worlds]
+    assert sorted(parts) == list(range(64))
+    slopes, directions = [], []
+    for world in worlds:
+        assert "factors" not in world
+        rows = np.array(world["terrain_heights_m"]).reshape(8, 8)
+        assert rows.min() == pytest.approx(0.05)
+        by_y, by_x = np.diff(rows, axis=0) * 1.4, np.diff(rows, axis=1) * 1.4
+        assert np.ptp(by_x) < 1e-9 and np.ptp(by_y) < 1e-9
+        slopes.append(np.degrees(np.arctan(np.hypot(by_x[0, 0], by_y[0, 0]))))
+        directions.append(np.arctan2(by_y[0, 0], by_x[0, 0]) % (2 * np.pi))
+    assert sorted(int((slope - 5) / 5 * 64) for slope in slopes) == list(range(64))
+    assert sorted(int(angle / (2 * np.pi) * 64) for angle in directions) == list(range(64))
+    both = drawn(service, request | {"vary": ranges | {"friction": [0.5, 1]}})
+    assert [{key: value for key, value in world.items() if key != "factors"}
+            for world in both] == worlds
+    assert worlds == drawn(service, worlds)
+
+
+STAIRS = {"light_xy_m": [4.0, 2.5], "terrain": {"kind": "stairs-up"}}
+GRID = {"light_xy_m": [4.0, 2.5], "terrain": {"kind": "grid", "spacing_m": 0.1,
+                                              "heights_m": [[0.0] * 3] * 3}}
+
+
+def test_ground_that_cannot_slope(service):
+    """It is refused by name, wherever worlds vary."""
+    slope = {"slope_degrees": [0, 5]}
+    for place, word in ((STAIRS, "profile"), (GRID, "custom grid")):
+        reply = service.request("POST", "/v1/evaluations", {
+            "designs": [TALL], "environments": {"of": [PLACE, place], "vary": slope}})
+        assert reply.status == 422 and reply.pointers() == ["/environments/vary"]
+        detail = reply.json()["errors"][0]["detail"]
+        assert "environment 1" in detail and f"a {word} cannot slope" in detail
+    reply = service.request("POST", "/v1/trainings", {
+        "kind": "pretrain", "environments": [PLACE, STAIRS], "vary": slope})
+    assert reply.status == 422 and reply.pointers() == ["/environments/1"]
+    few = {"mode": "few-shot", "environments": [STAIRS], "learning": {"vary": slope}}
+    reply = service.request("POST", "/v1/campaigns", few)
+    assert reply.status == 422 and "cannot slope" in reply.json()["errors"][0]["detail"]
+    reply = service.request("POST", "/v1/trainings", {
+        "kind": "pretrain", "environments": "morpho-12-hurdle", "vary": slope})
+    assert reply.status == 422 and reply.pointers() == ["/environments"]
+    assert "morpho-12-hurdle" in reply.json()["errors"][0]["detail"]
+    assert len(drawn(service, {"of": [STAIRS, GRID], "vary": {"drop_m": [0, 0.1]}})) == 2
+
+
+def test_drops_have_a_limit(service):
+    high = [PLACE | {"drop_m": 0.9}]
+    vary = {"drop_m": [0, 0.2]}
+    reply = service.request("POST", "/v1/evaluations", {
+        "designs": [TALL], "environments": {"of": high, "vary": vary}})
+    assert reply.status == 422 and reply.pointers() == ["/environments/vary"]
+    reply = service.request("POST", "/v1/trainings", {
+        "kind": "pretrain", "environments": high, "vary": vary})
+    assert reply.status == 422 and reply.pointers() == ["/environments/0"]
+
+
 @pytest.mark.parametrize("environments, pointer, says", [
     ({"of": "paper-test"}, "", "vary is missing"),
+    ({"vary": {"drop_m": [0, 1.5]}}, "/vary/drop_m/1", "from 0 to 1"),
+    ({"vary": {"slope_degrees": [0, 31]}}, "/vary/slope_degrees/1", "from 0 to 30"),
+    ({"vary": {"slope_degrees": [3, 2]}}, "/vary", "lowest"),
     ({"vary": {"friction": [2, 1]}}, "/vary", "lowest"),
     ({"vary": {"slip": [1, 2]}}, "/vary/slip", "friction"),
     ({"vary": {"friction": [0.5, 1]}, "count": 65}, "/count", "64"),
@@ -188,24 +300,51 @@ def test_campaigns_and_trainings_take_varied_worlds(service):
 
 
 VARY = {"friction": [1 / 3, 4 / 3], "mass": [0.9, 1.1]}
+MORE = VARY | {"drop_m": [0, 0.1], "slope_degrees": [0, 10]}
 
 
 def test_trainings_vary_their_worlds(service):
     """The same seed learns the same; ranges change it, and are reported."""
     scores = []
-    for number, vary in enumerate((None, VARY, VARY, VARY | {"mass": [1, 1]}, {})):
+    for number, vary in enumerate((None, VARY, VARY, VARY | {"mass": [1, 1]}, {}, MORE, MORE)):
         scores.append(learned(service, f"varied-{number}", environments=[PLACE], vary=vary))
         seen = service.get("/v1/trainings?limit=1")["items"][0]["settings"]["vary"]
         assert seen == (vary and {"stiffness": [1, 1], "drag": [1, 1], "gravity": [1, 1],
                                   "actuation": [1, 1]} | vary or None)
-    assert scores[1] == scores[2] and scores[0] == scores[4]
-    assert len(set(scores)) == 3
+    assert scores[1] == scores[2] and scores[0] == scores[4] and scores[5] == scores[6]
+    assert len(set(scores)) == 4
+
+
+def test_the_preset_robust(service):
+    """It is phototaxis in worlds that vary; a request overrides its ranges one by one."""
+    value = {"kind": "pretrain", "steps": 1, "batch": 4, "physics": PHYSICS,
+             "validation": {"every_steps": 0}}
+    settings = {}
+    for name, more in (("robust", {}), ("phototaxis", {}), ("robust", {"vary": None}),
+                       ("robust", {"vary": {"friction": [1, 1], "drop_m": [0, 0]}})):
+        job = service.post("/v1/trainings", value | {"preset": name} | more)
+        job = await_end(service, f"/v1/trainings/{job['id']}").json()
+        assert job["state"] == "succeeded" and not job["warnings"], job
+        settings[name, *more.get("vary") or more] = job["settings"]
+    factor = [0.7, 1.3]
+    vary = {"stiffness": factor, "mass": factor, "drag": factor, "gravity": factor,
+            "actuation": factor, "friction": [0.33, 1.33], "drop_m": [0, 0.2],
+            "slope_degrees": [0, 10]}
+    plain = settings["phototaxis",]
+    assert settings["robust",] == plain | {"vary": vary}
+    assert settings["robust", "vary"] == plain
+    less = vary | {"friction": [1, 1]}
+    del less["drop_m"]
+    assert settings["robust", "friction", "drop_m"] == plain | {"vary": less}
+    reply = service.request("POST", "/v1/trainings", {
+        "kind": "finetune", "designs": [TALL], "preset": "robust"})
+    assert reply.status == 422 and reply.pointers() == ["/preset"]
 
 
 def test_a_restart_draws_the_same_worlds(start, tmp_path):
     """A training run that continues from a checkpoint gets the factors of its steps."""
     value = {"kind": "finetune", "designs": [TALL], "steps": 40, "batch": 4, "physics": PHYSICS,
-             "vary": VARY, "environments": [PLACE], "validation": {"every_steps": 0},
+             "vary": MORE, "environments": [PLACE], "validation": {"every_steps": 0},
              "checkpoint": {"every_steps": 4}, "name": "varied"}
     first = start(state=tmp_path)
     path = f"/v1/trainings/{first.post('/v1/trainings', value)['id']}"
@@ -315,6 +454,9 @@ def test_windows_keep_their_factors(service):
     half = roll(physics=PHYSICS | {"n_steps": 48}).json()["rollouts"][0]["state"]
     rest = roll(physics=PHYSICS | {"n_steps": 52}, states=[half])
     assert rest.json()["rollouts"][0]["state"] == whole["state"]
+    dropped = roll(environments=[PLACE | {"factors": BY, "drop_m": 0.5}], states=[half],
+                   physics=PHYSICS | {"n_steps": 52})
+    assert dropped.json()["rollouts"][0]["state"] == whole["state"]  # a drop is for the start
     other = roll(environments=[PLACE], states=[half])
     assert other.status == 422 and "factors" in other.json()["errors"][0]["detail"]
 
@@ -327,3 +469,11 @@ def test_a_study_names_factors_that_differ(service):
     reply = service.request("POST", "/v1/campaigns", value | {"environments": [PLACE]})
     assert reply.status == 409, reply.body
     assert "/environments/0/factors/friction" in reply.body.decode()
+
+
+def test_a_study_names_drops_that_differ(service):
+    value = {"mode": "study", "population": 4, "label": "falling", "if_exists": "return",
+             "physics": PHYSICS, "environments": [PLACE | {"drop_m": 0.5}]}
+    assert service.request("POST", "/v1/campaigns", value).status == 202
+    reply = service.request("POST", "/v1/campaigns", value | {"environments": [PLACE]})
+    assert reply.status == 409 and "/environments/0/drop_m" in reply.body.decode()

@@ -86,11 +86,33 @@ def test_presets_of_trainings(ctl):
             "cycle_growth"] == (3 if more else 22)
         assert ctl(f"train cancel {json.loads(out)['id']}")[0] == 0
     status, _, err = ctl(f"train start pretrain --preset demo {TINY}")
-    assert status == 6 and '/preset: must be "workstation", "phototaxis" or "paper"' in err, err
+    assert status == 6 and \
+        '/preset: must be "workstation", "phototaxis", "paper" or "robust"' in err, err
     status, _, err = ctl(f"train start finetune --random 1 --preset phototaxis {TINY}")
     assert status == 6 and "/preset: " in err, err
     status, out, _ = ctl("train start --help")
-    assert status == 0 and "--preset workstation|phototaxis|paper" in out, out
+    assert status == 0 and "--preset workstation|phototaxis|paper|robust" in out, out
+
+
+def test_what_varies(ctl):
+    """Only that is listed."""
+    for more, expected in (
+        ("", None),
+        ("--vary friction=0.5:1 --vary slope_degrees=0:10", "friction 0.5 to 1, "
+         "slope_degrees 0 to 10"),
+        ("--vary mass=1:1.5 --vary drop_m=0.1:0.2", "mass 1 to 1.5, drop_m 0.1 to 0.2"),
+        ("--preset robust", "stiffness 0.7 to 1.3, mass 0.7 to 1.3, drag 0.7 to 1.3, gravity 0.7 "
+         "to 1.3, actuation 0.7 to 1.3, friction 0.33 to 1.33, drop_m 0 to 0.2, slope_degrees 0 to "
+         "10")):
+        status, out, err = ctl(f"train start pretrain {more} {TINY} --json")
+        assert status == 0, err
+        job = json.loads(out)["id"]
+        shown = " ".join(ctl(f"train show {job}")[1].split())
+        assert f"varies in each step, {expected} schedule" in shown if expected \
+            else "varies" not in shown, shown
+        assert ctl(f"train cancel {job}")[0] == 0
+    status, _, err = ctl(f"train start pretrain --vary slope_degrees=5 {TINY}")
+    assert status == 2 and "is not NAME=LOW:HIGH" in err, err
 
 
 def test_finetuning(ctl):

@@ -75,7 +75,7 @@ def test_a_preset_and_what_is_named_over_it(service):
     } == training["settings"]
     for request, detail in (
         ({"kind": "pretrain", "preset": "laptop"},
-         'must be "workstation", "phototaxis" or "paper", got "laptop"'),
+         'must be "workstation", "phototaxis", "paper" or "robust", got "laptop"'),
         (TUNE | {"preset": "phototaxis"}, "for a finetuning")):
         reply = service.request("POST", "/v1/trainings", request)
         assert reply.status == 422 and detail in reply.json()["errors"][0]["detail"], reply.body

@@ -114,7 +114,7 @@ def test_rows_have_the_bits_of_the_daemon(daemon, launch, known, service):
         assert daemon.done((1, number)) == sum(losses_of(done), ()) != losses(known)
     assert all(state == DONE and busy_s > 0 for _, state, busy_s, _, _ in daemon.results)
     offer = daemon.offers[0]
-    assert (offer["name"], offer["n_threads"], offer["protocol"]) == ("here", 1, 6)
+    assert (offer["name"], offer["n_threads"], offer["protocol"]) == ("here", 1, 7)
     assert len(offer["classes"]["cpu"]["canary"]) == 64 and "device" not in offer["classes"]
     fetched = [path for _, path in daemon.requests if "/controllers/" in path]
     assert len(fetched) == 1 and worker.stop() == 0, worker.log_text()

@@ -102,7 +102,7 @@ class Workers:
         """Returns the request of a worker that matches this service. The service reveals its canary
         in the refusal of a wrong one."""
         kind = self.service.get("/v1/fleet")["classes"]["cpu"]
-        wanted = {"protocol": 6, "name": "node", "host": "node.test", "n_threads": 1,
+        wanted = {"protocol": 7, "name": "node", "host": "node.test", "n_threads": 1,
                   "n_devices": 0, "version": self.service.get("/healthz")["version"],
                   "classes": {"cpu": {"scores": kind["scores"], "gradients": kind["gradients"],
                                       "canary": "0" * 64}}}

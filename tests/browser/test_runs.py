@@ -284,7 +284,8 @@ def test_the_presets_are_those_of_the_service(service, browser):
             expected = [preset, []]
             assert differing(browser, job, period) == expected, request
     for kind, preset in (("pretrain", "workstation"), ("pretrain", "phototaxis"),
-                         ("pretrain", "paper"), ("finetune", "workstation"), ("finetune", "paper")):
+                         ("pretrain", "paper"), ("pretrain", "robust"),
+                         ("finetune", "workstation"), ("finetune", "paper")):
         request = {"kind": kind, "preset": preset, "device": "cpu"}
         if kind == "finetune":
             request["designs"] = [DESIGN]

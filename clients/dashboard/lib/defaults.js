@@ -10,7 +10,13 @@ export const CAMPAIGN_PRESETS = {
   demo: { population: 64, 'zero-shot': 30, 'few-shot': 3, simultaneous: 30 },
 };
 /** The presets of training runs: robots of a step. */
-export const TRAINING_PRESETS = { workstation: 256, phototaxis: 8192, paper: 8192 };
+export const TRAINING_PRESETS = { workstation: 256, phototaxis: 8192, paper: 8192, robust: 8192 };
+/** What the preset robust varies. */
+const ROBUST = {
+  ...Object.fromEntries(['stiffness', 'mass', 'drag', 'gravity', 'actuation']
+    .map((name) => [name, [0.7, 1.3]])),
+  friction: [0.33, 1.33], drop_m: [0, 0.2], slope_degrees: [0, 10],
+};
 export const TRAINING_STEPS = { pretrain: 1400, finetune: 60 };
 export const VALIDATION = { every_steps: 50, designs: 64, environments: 8 };
 /** The steps on parents, and those on children, of a campaign's generation. */
@@ -62,7 +68,8 @@ export const usualEvaluation = (job, preset, periodS) => ({
 export function usualTraining(job, preset, periodS) {
   const isFinetune = job.trainingKind === 'finetune';
   const isPaper = preset === 'paper';
-  const name = preset === 'phototaxis' ? 'phototaxis'
+  const isShipped = preset === 'phototaxis' || preset === 'robust';
+  const name = isShipped ? 'phototaxis'
     : isFinetune ? (isPaper ? 'paper-finetune' : 'finetune-cosine')
     : isPaper ? 'paper-pretrain' : 'one-cosine';
   const usual = learningOf(name);
@@ -75,7 +82,8 @@ export function usualTraining(job, preset, periodS) {
     checkpoint: { every_steps: 0, every_s: 60, keep: 3 },
   };
   if (isPaper) settings.adjoint_bound = 0;
-  if (preset === 'phototaxis') {
+  if (preset === 'robust') settings.vary = ROBUST;
+  if (isShipped) {
     Object.assign(settings, { adjoint_bound: 8, adjoint_rule: 'restart' });
     settings.adam = { ...usual.adam, beta1: 0.8 };
   }
@@ -90,8 +98,8 @@ export function usualTraining(job, preset, periodS) {
  */
 function usualWorlds(named, places) {
   if (named === 'paper-test') return 'random';
-  const isOther = ({ task, damage, factors, terrain }) => task || damage || factors ||
-    (terrain && !['rough', 'flat'].includes(terrain.kind));
+  const isOther = ({ task, damage, factors, drop_m: drop, terrain }) => task || damage ||
+    factors || drop || (terrain && !['rough', 'flat'].includes(terrain.kind));
   return places?.length ? (places.some(isOther) ? 'environments' : 'random') : undefined;
 }
 

@@ -127,7 +127,7 @@ const training = {
   environments: () => null,
   settings: (job) => job.settings, usual: usualTraining,
   presets: (job) => Object.keys(TRAINING_PRESETS)
-    .filter((name) => name !== 'phototaxis' || job.trainingKind === 'pretrain'),
+    .filter((name) => job.trainingKind === 'pretrain' || !['phototaxis', 'robust'].includes(name)),
 };
 
 /** @type {Kind} */

@@ -25,6 +25,9 @@ function titleOfSetting(name) {
 const figure = (value) => (Number.isInteger(value) && Math.abs(value) >= 10000
   ? value.toLocaleString('en-US') : String(value));
 
+/** Members of `vary` that are not factors. */
+const NAMES_ADDED = ['drop_m', 'slope_degrees'];
+
 /** Objects in words, by the name of the member. */
 const WORDS = {
   environments: (value) => countOf(value.count, 'listed environment'),
@@ -35,8 +38,9 @@ const WORDS = {
   aggregate: (value) => Object.values(value).join(' '),
   select_by: ({ measure, direction }) => `${direction} ${measure}`,
   random: ({ seed, first }) => `seed ${seed}, starting at number ${first}`,
-  vary: (value) => Object.entries(value).map(([name, range]) => `${name} ${range.join(' to ')}`)
-    .join(', '),
+  vary: (value) => Object.entries(value)
+    .filter(([name, [low, high]]) => NAMES_ADDED.includes(name) || low !== 1 || high !== 1)
+    .map(([name, range]) => `${name} ${range.join(' to ')}`).join(', '),
   workspace: (value) => `${value.join(' × ')} voxels`,
   tasks: (value) => value.map((task) => taskWords([{ task }]) || 'photo').join(', '),
 };

@@ -49,13 +49,13 @@ function pair({ title, text, differs, usual }) {
 /** Describes an environment: its task, where its light is, and its ground. */
 export function placeOf(environment) {
   const { task, light_xy_m: light, terrain, terrain_heights_m: heights, damage, factors,
-    sha256 } = environment;
+    drop_m: drop, sha256 } = environment;
   const flat = heights?.every((one) => one === 0);
   const meters = light?.map((one) => Number(one.toFixed(3))).join(', ');
   return [taskWords([{ task }]) || 'photo', light ? `light at (${meters}) m` : '',
     terrain ? `terrain ${terrain.kind}` : heights ? (flat ? 'flat' : 'rough ground') : '',
     damage ? 'damage' : '', Object.entries(factors ?? {}).map((one) => one.join(' × ')).join(', '),
-    sha256.slice(0, 12)].filter(Boolean).join(' · ');
+    drop ? `drop ${drop} m` : '', sha256.slice(0, 12)].filter(Boolean).join(' · ');
 }
 
 /** Loads the environments of a job; [] if they cannot be listed. */

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Environments = str | Mapping[str, Any] | Sequence[Mapping[str, Any]]
-"""The name of a set ("paper-test"); an object that varies the constants of its worlds ({"of":
-"paper-test", "vary": {"friction": [0.5, 1.5]}, "count": 64}); or a list of environments: each with
+"""The name of a set ("paper-test"); an object that varies its worlds ({"of": "paper-test", "vary":
+{"friction": [0.5, 1.5], "drop_m": [0, 0.2]}, "count": 64}); or a list of environments: each with
 `light_xy_m` and either `terrain_heights_m` (64 numbers, or an array (8, 8) as in scenes, with row y
 and column x), `terrain_sigma_m` and `seed`, or `terrain` ({"kind": "stairs-up"}, a profile, or a
 grid whose heights may be an array: docs/tasks.md); or with `task` ("walk", or spelled out), which
 may move the light and needs no terrain. `factors` ({"friction": 0.5}) multiplies constants of the
-physics."""
+physics, and `drop_m` lifts the robot at the start."""
 
 MEDIA_TYPE = "application/vnd.morphod.scene"
 

@@ -75,5 +75,6 @@ class Task(dict[str, Any]):
         """Returns an environment with this task: `light_xy_m` for a fixed light, and, unless the
         ground is flat, `terrain` ({"kind": "slope"}), `terrain_heights_m`, or `terrain_sigma_m`
         and `seed`. `damage={"octant": 3, "time_s": 2}` cuts the springs of an octant then,
-        and `factors={"friction": 0.5}` multiplies constants of the physics."""
+        `factors={"friction": 0.5}` multiplies constants of the physics, and `drop_m` lifts the
+        robot at the start."""
         return {"task": self, **place}

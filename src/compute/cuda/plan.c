@@ -651,6 +651,7 @@ static void fill_share(const struct mo_plan *plan, void *memory, uint32_t share,
     environments[e].scene = mo_plan_scene_of(plan->environments[e], plan->physics);
     environments[e].split = mo_plan_split_of(plan->environments[e], plan->physics);
     environments[e].special = mo_plan_special_of(plan->environments[e], plan->physics);
+    environments[e].drop_m = mo_scene_drop_m(plan->environments[e], plan->physics);
     if (plan->is_special)
       tasks[e] = *plan->environments[e];
   }

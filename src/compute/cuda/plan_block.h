@@ -114,12 +114,13 @@ struct mo_plan_special {
   uint32_t cut;      /* as mo_damage.cut */
   uint32_t cut_step; /* the first step without these springs, or UINT32_MAX */
 };
-/* An environment with its heights in float64, for the start. */
+/* An environment with its heights and its drop in float64, for the start. */
 struct mo_plan_environment {
   double heights_m[MO_TERRAIN_HEIGHTS];
   struct mo_plan_scene scene;
   struct mo_plan_split split;
   struct mo_plan_special special;
+  double drop_m; /* mo_scene_drop_m */
 };
 
 /* The index of the device's mass m in a body's list of inputs: sixteen lanes sense a row, and the

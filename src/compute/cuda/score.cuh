@@ -37,7 +37,6 @@ struct mo_cuda_score {
   struct mo_weights_layout layout;
   float dt;
   uint32_t bisections; /* 0: exact */
-  double drop_height_m;
   uint32_t n_groups, n_steps, max_places;
   uint32_t control_steps; /* in a control period */
   bool splits;            /* the integrator is `split` */

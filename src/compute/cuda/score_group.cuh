@@ -88,7 +88,7 @@ __device__ void place_row(const mo_cuda_score &score, const Shared &shared, cons
   }
   for (int step = 16; step > 0; step /= 2)
     lift = fmax(lift, __shfl_xor_sync(kAll, lift, step));
-  lift += score.drop_height_m;
+  lift += score.environments[plan.environment].drop_m;
   for (uint32_t m = lane; m < row.n_masses; m += 32) {
     const uint32_t mass = masses[m];
     float *p = position + 3 * (size_t)(row.first_place + m * row.stride);

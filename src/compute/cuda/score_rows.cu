@@ -156,7 +156,6 @@ mo_cuda_score arguments_of(const mo_device *device, const mo_plan &plan,
   s.layout = mo_weights_layout();
   s.dt = (float)score->physics.scheme.dt_s;
   s.bisections = lane_bisections(&score->physics.scheme);
-  s.drop_height_m = score->physics.drop_height_m;
   s.n_groups = plan.n_groups;
   s.n_steps = score->physics.scheme.n_steps;
   s.max_places = places;

@@ -172,7 +172,7 @@ static void requests(void)
   CHECK(has_words(schema("EnvironmentSet"), mo_set_words));
   CHECK(has_words(schema("Suite"), mo_suite_words));
   CHECK(has_words(schema("SuiteTaskName"), mo_suite_task_words));
-  check_object("EnvironmentRequest", &mo_place_fields, 6, true);
+  check_object("EnvironmentRequest", &mo_place_fields, 7, true);
   check_object("EvaluationRequest", &mo_evaluation_request_fields, 0, true);
   check_object("TrainingRequest", &mo_training_request_fields, 0, true);
   check_object("CampaignRequest", &mo_campaign_request_fields, 0, true);

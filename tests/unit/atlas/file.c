@@ -74,7 +74,7 @@ static void environments(void)
 {
   const double heights[] = {0.1, 0.2, 0.1, 0.3, 0.2, 0.1};
   struct mo_atlas_source source = fixture_source(3);
-  struct mo_environment list[3] = {mo_environment_defaults, mo_environment_defaults};
+  struct mo_environment list[4] = {mo_environment_defaults, mo_environment_defaults};
   struct mo_message message = {""};
   char path[FIXTURE_PATH];
   uint32_t n = 0;
@@ -85,12 +85,14 @@ static void environments(void)
   list[1].light_xy_m[0] = -0.0;
   list[2] = list[1];
   REQUIRE_OK(mo_terrain_grid_create(3, 2, 0.5, heights, &list[2].grid));
+  list[3] = list[0];
+  list[3].drop_m = 0.125;
   snprintf(path, sizeof(path), "%s/a.atlas", fixture_folder());
-  CHECK_OK(fixture_write(&mo_system_files, path, &source, list, 3, 10, &message));
+  CHECK_OK(fixture_write(&mo_system_files, path, &source, list, 4, 10, &message));
   CHECK_TEXT(message.text, "");
   const struct mo_atlas *atlas = fixture_open(path);
   const struct mo_environment *read = mo_atlas_environments(atlas, &n);
-  REQUIRE(n == 3);
+  REQUIRE(n == 4 && read[3].drop_m == 0.125);
   for (uint32_t i = 0; i < n; i++) {
     struct mo_sha256 expected, found;
     mo_environment_digest(&list[i], &expected);
@@ -105,7 +107,7 @@ static void environments(void)
   CHECK(SAME(found->controller_sha256, source.controller_sha256, 32));
   CHECK(SAME(found->physics_sha256, source.physics_sha256, 32));
   CHECK_TEXT(found->fingerprint, source.fingerprint);
-  mo_environments_drop(list, 3);
+  mo_environments_drop(list, 4);
 }
 
 /* ---- refusals ---- */

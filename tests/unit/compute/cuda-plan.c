@@ -19,8 +19,11 @@ static void setup(void)
   struct mo_body_stream *stream = make_body_stream(MO_DEFAULT_WORKSPACE, 3);
   physics = mo_paper_physics();
   lattice = make_lattice(MO_DEFAULT_WORKSPACE);
-  for (uint32_t e = 0; e < PLACES; e++)
+  physics.drop_height_m = 0.125;
+  for (uint32_t e = 0; e < PLACES; e++) {
     mo_environment_training(4, 0, e, environments + e);
+    environments[e].drop_m = 0.01 * e;
+  }
   for (int b = 0; b < BODIES; b++) {
     uint64_t bits[MO_DEFAULT_WORDS] = {1};
     if (b > 1)
@@ -142,6 +145,7 @@ static void rows_once(void)
     const struct mo_environment *environment = f.plan.environments[e];
     CHECK(memcmp(laid[e].heights_m, environment->terrain_heights_m, sizeof(laid[e].heights_m)) ==
           0);
+    CHECK(laid[e].drop_m == 0.125 + environment->drop_m);
     CHECK_NEAR(laid[e].scene.light[0] + MO_WORLD_CENTER_M, environment->light_xy_m[0], 1e-6);
     CHECK_NEAR(laid[e].scene.heights[9], environment->terrain_heights_m[9], 1e-7);
     CHECK(laid[e].scene.constants.pull == 60.0F && laid[e].scene.constants.friction == 0.9F);

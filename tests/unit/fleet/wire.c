@@ -421,6 +421,7 @@ static void grids(void)
     struct mo_environment *environment = &sent.items[0].environments[e];
     memset(environment->terrain_heights_m, 0, sizeof(environment->terrain_heights_m));
     environment->grid = make_grid(3 + 20 * e, 2 + 5 * e, 0.2, e, 0.1);
+    environment->drop_m = 0.25 * e;
     mo_terrain_grid_hold(environment->grid);
   }
   REQUIRE_OK(mo_wire_put_leases(&sent, workspace, &message.bytes, &message.size));

@@ -5,6 +5,7 @@
 #include "learning/internal.h"
 #include "rollout/gradient_options.h"
 #include "rollout/physics.h"
+#include "world/factors.h"
 
 static struct mo_training *begin(enum mo_training_kind kind)
 {
@@ -90,8 +91,11 @@ static void settings_kept(void)
       .sensor = MO_SENSOR_INVERSE_SQUARE,
       .held_out_designs = 12,
       .held_out_environments = 13};
-  s.learning.vary =
-      (struct mo_factor_ranges){true, {0.9, 1.1}, {1, 2}, {1, 1}, {1, 1}, {1, 1}, {0.25, 1}};
+  s.learning.vary = mo_factors_constant();
+  s.learning.vary.given = true;
+  memcpy(s.learning.vary.stiffness, (double[2]){0.9, 1.1}, 2 * sizeof(double));
+  s.learning.vary.mass[1] = 2;
+  s.learning.vary.friction[0] = 0.25;
   s.physics = (struct mo_physics){.scheme.dt_s = 0.003,
                                   .scheme.n_steps = 77,
                                   .scheme.control_period_s = 0.009,
@@ -112,7 +116,19 @@ static void settings_kept(void)
   REQUIRE(mo_training_export(training, NULL, "1.2.3", NULL, &exported) == MO_OK);
   CHECK(strstr(mo_controller_get_metadata(exported, "morphod.settings"),
                "\"adjoint_bound\":3.5,\"adjoint_rule\":\"restart\",\"restart_weight\":2.25,"
-               "\"vary\":{\"stiffness\":[0.9,1.1],\"mass\":[1,2],") != NULL);
+               "\"vary\":{\"stiffness\":[0.9,1.1],\"mass\":[1,2],\"drag\":[1,1],\"gravity\":"
+               "[1,1],\"actuation\":[1,1],\"friction\":[0.25,1]},") != NULL);
+  mo_controller_free(exported);
+  /* Drop and slope are written if they vary, so that older settings keep their bytes. */
+  s.learning.vary.drop_m[1] = 0.25;
+  s.learning.vary.slope_degrees[0] = s.learning.vary.slope_degrees[1] = 7;
+  training = decoded(encoded(make_training(&s, NULL, NULL, 0)));
+  CHECK(mo_fields_equal(&mo_vary_fields, &mo_training_settings_of(training)->learning.vary,
+                        &s.learning.vary));
+  exported = NULL;
+  REQUIRE(mo_training_export(training, NULL, "1.2.3", NULL, &exported) == MO_OK);
+  CHECK(strstr(mo_controller_get_metadata(exported, "morphod.settings"),
+               "\"friction\":[0.25,1],\"drop_m\":[0,0.25],\"slope_degrees\":[7,7]},") != NULL);
   mo_controller_free(exported);
 }
 

@@ -2,6 +2,7 @@
 #include "fixture.h"
 
 #include "rollout/physics.h"
+#include "world/factors.h"
 
 static void presets(void)
 {
@@ -16,14 +17,16 @@ static void presets(void)
     const struct mo_schedule *schedule;
     double beta1, bound;
     enum mo_adjoint_rule rule;
-  } all[2][3] = {{{1400, 256, &one_cosine, 0.9, 2, MO_ADJOINT_CLIP},
+  } all[2][4] = {{{1400, 256, &one_cosine, 0.9, 2, MO_ADJOINT_CLIP},
                   {1400, 8192, &shipped, 0.8, 8, MO_ADJOINT_RESTART},
-                  {1400, 8192, &paper, 0.9, 0, MO_ADJOINT_CLIP}},
+                  {1400, 8192, &paper, 0.9, 0, MO_ADJOINT_CLIP},
+                  {1400, 8192, &shipped, 0.8, 8, MO_ADJOINT_RESTART}},
                  {{60, 256, &finetune, 0.9, 2, MO_ADJOINT_CLIP},
                   {60, 256, &finetune, 0.9, 2, MO_ADJOINT_CLIP}, /* phototaxis has none */
-                  {60, 8192, &paper_finetune, 0.9, 0, MO_ADJOINT_CLIP}}};
+                  {60, 8192, &paper_finetune, 0.9, 0, MO_ADJOINT_CLIP},
+                  {60, 256, &finetune, 0.9, 2, MO_ADJOINT_CLIP}}}; /* nor has robust */
   for (int kind = 0; kind < 2; kind++)
-    for (int preset = 0; preset < 3; preset++) {
+    for (int preset = 0; preset < 4; preset++) {
       const struct mo_training_settings s =
           mo_training_preset((enum mo_training_kind)kind, (enum mo_learning_preset)preset);
       const struct mo_schedule *a = &s.learning.schedule, *b = all[kind][preset].schedule;
@@ -47,12 +50,31 @@ static void presets(void)
     }
 }
 
+/* `robust` is `phototaxis` with ranges, and no other preset varies anything. */
+static void robust(void)
+{
+  for (int kind = 0; kind < 2; kind++)
+    for (int preset = 0; preset < 4; preset++) {
+      const struct mo_training_settings s =
+          mo_training_preset((enum mo_training_kind)kind, (enum mo_learning_preset)preset);
+      const struct mo_factor_ranges *vary = &s.learning.vary;
+      CHECK(mo_factors_vary(vary) == (preset == 3 && kind == MO_TRAINING_PRETRAIN));
+      if (!mo_factors_vary(vary))
+        continue;
+      CHECK(vary->friction[0] == 0.33 && vary->friction[1] == 1.33);
+      CHECK(vary->stiffness[0] == 0.7 && vary->mass[1] == 1.3 && vary->drag[0] == 0.7 &&
+            vary->gravity[1] == 1.3 && vary->actuation[0] == 0.7);
+      CHECK(vary->drop_m[0] == 0 && vary->drop_m[1] == 0.2);
+      CHECK(vary->slope_degrees[0] == 0 && vary->slope_degrees[1] == 10);
+    }
+}
+
 static void preset_names(void)
 {
-  static const char *const names[] = {"workstation", "phototaxis", "paper"};
-  for (int i = 0; i < 3; i++)
+  static const char *const names[] = {"workstation", "phototaxis", "paper", "robust"};
+  for (int i = 0; i < 4; i++)
     CHECK_TEXT(mo_learning_preset_words[i], names[i]);
-  CHECK(mo_learning_preset_words[3] == NULL);
+  CHECK(mo_learning_preset_words[4] == NULL);
 }
 
 /* Removes the first occurrence of `part`, which must exist. */
@@ -183,6 +205,7 @@ static void initial_weights(void)
 
 static const struct check_case cases[] = {
     {"presets", presets},
+    {"what robust varies", robust},
     {"names of presets", preset_names},
     {"the shipped controller has the settings of its preset", shipped},
     {"invalid settings are refused with a reason", refused_settings},

@@ -5,6 +5,7 @@
 #include "learning/internal.h"
 #include "world/environment.h"
 #include "world/task_json.h"
+#include "world/terrain.h"
 
 enum { N = 5 };
 
@@ -147,21 +148,26 @@ static void tasks_in_drawn_worlds(void)
   mo_controller_free(exported);
 }
 
-/* Every robot's world has factors of the stream, times its own; everything else about it stays. The
- * same on several threads and after a checkpoint. */
+/* Every robot's world has factors of the stream, times its own, a drop and, in drawn worlds, a
+ * slope; everything else about it stays. The same on several threads and after a checkpoint. */
 static void varied_worlds(void)
 {
   enum { BATCH = 120 };
   for (int listed = 0; listed < 2; listed++) {
     struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
     struct mo_environment places[N];
-    struct mo_factors drawn[BATCH];
+    struct mo_variation drawn[BATCH];
     memcpy(places, own(), sizeof(places));
     places[1].factors = (struct mo_factors){1, 1, 1.5, 1, 1, 1, 2};
     settings.batch = BATCH;
     struct mo_training *plain = finetuning(&settings, 3, 1.0F);
-    settings.learning.vary = (struct mo_factor_ranges){
-        true, {0.9, 1.1}, {1, 1}, {1, 1}, {1, 1}, {1, 1}, {1.0 / 3, 4.0 / 3}};
+    settings.learning.vary = mo_factors_constant();
+    settings.learning.vary.given = true;
+    settings.learning.vary.stiffness[0] = 0.9;
+    settings.learning.vary.friction[0] = 1.0 / 3;
+    settings.learning.vary.drop_m[1] = 0.2;
+    settings.learning.vary.slope_degrees[1] = listed ? 0 : 10; /* one of the places is a profile */
+    places[2].drop_m = 0.5;
     struct mo_training *training = finetuning(&settings, 3, 1.0F);
     if (listed) {
       make_check(mo_training_set_environments(plain, places, N), "environments");
@@ -171,10 +177,14 @@ static void varied_worlds(void)
     mo_training_set_threads(training, 3);
     const struct mo_robot *before = draw(plain), *robots = draw(training);
     uint32_t wrong = 0;
-    make_check(mo_factors_draw(&settings.learning.vary, settings.seed, 0, BATCH, drawn), "factors");
+    make_check(mo_variations_draw(&settings.learning.vary, settings.seed, 0, BATCH, drawn),
+               "variations");
     for (uint32_t i = 0; i < BATCH; i++) {
       struct mo_environment expected = *before[i].environment;
-      expected.factors = mo_factors_times(&expected.factors, &drawn[i]);
+      expected.factors = mo_factors_times(&expected.factors, &drawn[i].factors);
+      expected.drop_m += drawn[i].drop_m;
+      if (!listed)
+        mo_terrain_tilt(drawn[i].slope_degrees, drawn[i].toward_rad, expected.terrain_heights_m);
       wrong += !same_environment(&expected, robots[i].environment) ||
                mo_environment_check(robots[i].environment, NULL) != MO_OK;
     }
@@ -182,6 +192,18 @@ static void varied_worlds(void)
     REQUIRE(mo_training_draw_ahead(training, NULL) == MO_OK);
     check_drop_to(0);
   }
+}
+
+/* An environment that cannot slope is an error, not one without a slope. */
+static void profiles_do_not_slope(void)
+{
+  struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
+  const struct mo_robot *robots = NULL;
+  settings.learning.vary.given = true;
+  settings.learning.vary.slope_degrees[1] = 10;
+  struct mo_training *training = finetuning(&settings, 3, 1.0F);
+  make_check(mo_training_set_environments(training, own() + 1, 1), "stairs");
+  CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_UNSUPPORTED);
 }
 
 static void bodies_stay(void)
@@ -326,7 +348,8 @@ static const struct check_case cases[] = {
     {"robots have the environments of the stream", drawn_by_the_stream},
     {"the same robots on several threads and after a checkpoint", same_again},
     {"tasks in drawn environments", tasks_in_drawn_worlds},
-    {"factors of the robots' worlds", varied_worlds},
+    {"variations of the robots' worlds", varied_worlds},
+    {"profiles do not slope", profiles_do_not_slope},
     {"the bodies are those of the seed", bodies_stay},
     {"environments in checkpoints", checkpoints},
     {"grids of other sizes in checkpoints", grids},

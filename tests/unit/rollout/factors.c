@@ -1,7 +1,9 @@
-/* An environment with factors has the bits of one without them under a physics that has the
- * constants: outcomes and measures of the reference and of every kernel, and gradients; also where
- * environments with different factors share a block. */
+/* An environment with factors and a drop has the bits of one without them under a physics that has
+ * the constants and the drop: outcomes and measures of the reference and of every kernel, and
+ * gradients; also where environments with different factors share a block. */
 #include "lane-cases.h"
+
+#include "rollout/scene.h"
 
 enum { STEPS = 150, ROBOTS = 36 };
 static const struct mo_lattice *lattice;
@@ -23,6 +25,8 @@ static void setup(void)
     varied[i] = plain[i];
     if (i % 5 != 4) /* the others have no factors */
       varied[i].factors = (struct mo_factors){1, by[0], by[1], by[2], by[3], by[4], by[5]};
+    if (i % 3 == 1)
+      varied[i].drop_m = 0.2 * mo_random_uniform(&random);
     make_check(mo_environment_check(&varied[i], NULL), "an environment");
   }
 }
@@ -40,6 +44,7 @@ static struct mo_physics settings(uint32_t variant)
 static struct mo_physics of(const struct mo_environment *environment, struct mo_physics physics)
 {
   const struct mo_factors *f = &environment->factors;
+  physics.drop_height_m += environment->drop_m;
   if (f->given == 0)
     return physics;
   physics.constants.stiffness_n_per_m *= f->stiffness;
@@ -62,7 +67,26 @@ static void reference(void)
     REQUIRE_OK(
         mo_rollout_reference(robots[k].body, controller, &plain[k], &physics, NULL, NULL, &before));
     CHECK(SAME(&a, &b, 1));
-    CHECK((varied[k].factors.given == 0) == SAME(&a, &before, 1));
+    CHECK((varied[k].factors.given == 0 && varied[k].drop_m == 0) == SAME(&a, &before, 1));
+  }
+}
+
+/* The start of a drop is that of the physics' drop height, bit for bit, and a drop adds to it. */
+static void starts(void)
+{
+  for (uint32_t k = 0; k < ROBOTS; k++) {
+    const struct mo_body *body = robots[k].body;
+    struct mo_environment dropped = plain[k];
+    struct mo_physics physics = settings(0), own = physics;
+    double *a = make_zeros(3 * (size_t)body->n_masses, sizeof(double));
+    double *b = make_zeros(3 * (size_t)body->n_masses, sizeof(double));
+    dropped.drop_m = 0.01 * (k + 1);
+    own.drop_height_m = dropped.drop_m;
+    mo_scene_start(body, &dropped, &physics, a);
+    mo_scene_start(body, &plain[k], &own, b);
+    CHECK(SAME(a, b, 3 * (size_t)body->n_masses));
+    mo_scene_start(body, &dropped, &own, a);
+    CHECK_NEAR(a[2], b[2] + dropped.drop_m, 1e-14);
   }
 }
 
@@ -178,10 +202,8 @@ static void gradients_together(void)
 }
 
 static const struct check_case cases[] = {
-    {"the reference", reference},
-    {"each factor", each},
-    {"kernels, with measures", kernels},
-    {"gradients", gradients},
-    {"gradients of different worlds together", gradients_together},
+    {"the reference", reference}, {"the start of a drop", starts},
+    {"each factor", each},        {"kernels, with measures", kernels},
+    {"gradients", gradients},     {"gradients of different worlds together", gradients_together},
 };
 CHECK_MAIN_WITH(setup, cases)

@@ -75,7 +75,15 @@ static double compare(struct gradient_case *c, const struct second_parameters *d
   return worst;
 }
 
-enum scenes { PLAIN = 0, TASKS = 1, PROFILES = 2, OBJECTIVES = 4, GRIDS = 8, FACTORS = 16 };
+enum scenes {
+  PLAIN = 0,
+  TASKS = 1,
+  PROFILES = 2,
+  OBJECTIVES = 4,
+  GRIDS = 8,
+  FACTORS = 16,
+  DROPS = 32
+};
 
 /* Gives an environment factors, and returns the physics that they make of `physics`. */
 static struct mo_physics vary(struct mo_environment *environment, struct mo_physics physics,
@@ -93,13 +101,25 @@ static struct mo_physics vary(struct mo_environment *environment, struct mo_phys
   return physics;
 }
 
+/* Gives an environment a drop and a slope, and returns the physics with the drop. */
+static struct mo_physics drop(struct mo_environment *environment, struct mo_physics physics,
+                              uint32_t k)
+{
+  const struct mo_variation by = {
+      .drop_m = 0.01 + 0.002 * (k % 5), .slope_degrees = 4 + k % 12, .toward_rad = 0.7 * (k % 9)};
+  make_check(mo_environment_vary(&by, environment), "a variation");
+  physics.drop_height_m += environment->drop_m;
+  return physics;
+}
+
 /* held: the steps of a control period in each case; NULL: the controller computes its outputs in
  * every step. scenes: with the tasks of task-cases.h or objective-cases.h, and on profiles, of
- * which half have damage, and with factors, or not. */
+ * which half have damage, and with factors, or drops and slopes, or not. */
 static void run_scenes(enum mo_integrator integrator, const uint32_t *at, uint32_t n_at,
                        const uint32_t *held, uint32_t n_cases, unsigned scenes)
 {
-  const bool steep = (scenes & (PROFILES | GRIDS)) != 0 && integrator == MO_INTEGRATOR_SPLIT;
+  const bool steep =
+      (scenes & (PROFILES | GRIDS | DROPS)) != 0 && integrator == MO_INTEGRATOR_SPLIT;
   double worst_of_all = 0;
   uint32_t untouched = 0;
   printf("# case masses springs sigma_m sensor         impact    | largest relative error (largest "
@@ -130,8 +150,9 @@ static void run_scenes(enum mo_integrator integrator, const uint32_t *at, uint32
     if (held != NULL)
       c.physics.scheme.control_period_s = held[k] * c.physics.scheme.dt_s;
     /* The dual numbers have the constants themselves. */
-    const struct mo_physics physics =
-        scenes & FACTORS ? vary(&c.environment, c.physics, k) : c.physics;
+    const struct mo_physics physics = scenes & FACTORS ? vary(&c.environment, c.physics, k)
+                                      : scenes & DROPS ? drop(&c.environment, c.physics, k)
+                                                       : c.physics;
     const struct second_setup setup = {c.body, &c.environment, &physics, c.controller->sensor};
     struct dual losses[4];
     REQUIRE(dual_rollout(&setup, &d, at, n_at, losses) == 0);
@@ -180,6 +201,13 @@ static void varied_runs(void)
   static const uint32_t at[] = {10, 50, 200}, held[] = {4, 1, 3, 8, 1, 16, 5, 2};
   run_scenes(MO_INTEGRATOR_PAPER, at, 3, held, COUNT(held), FACTORS);
   run_scenes(MO_INTEGRATOR_SPLIT, at, 2, held, COUNT(held), FACTORS);
+}
+
+static void dropped_runs(void)
+{
+  static const uint32_t at[] = {50, 200}, held[] = {4, 1, 3, 8, 1, 16, 5, 2};
+  run_scenes(MO_INTEGRATOR_PAPER, at, 2, held, COUNT(held), DROPS);
+  run_scenes(MO_INTEGRATOR_SPLIT, at, 1, held, COUNT(held), DROPS);
 }
 
 /* Periods that divide the rollout, and periods that the end of the rollout cuts short. */
@@ -404,5 +432,6 @@ static const struct check_case cases[] = {
     {"profiles: 10 to 200 steps", profile_runs},
     {"grids of other sizes: 10 to 200 steps", grid_runs},
     {"factors: 10 to 200 steps", varied_runs},
+    {"drops and slopes: 50 and 200 steps", dropped_runs},
 };
 CHECK_MAIN(cases)

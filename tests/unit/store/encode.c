@@ -172,6 +172,34 @@ static void encodes_profiles(void)
              "de789e7b68e20bd986e394850830226f71dd305ff109b93d7ba80e15ad729e1d");
 }
 
+/* The drop needs version 8; environments without one keep their bytes, with factors or not. */
+static void encodes_drops(void)
+{
+  struct mo_environment environment = {.light_xy_m = {4, 2}, .drop_m = 0.25}, whole, found;
+  uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX], plain[MO_ENVIRONMENT_BYTES_MAX];
+  struct mo_sha256 hashes[2];
+  whole = environment;
+  whole.drop_m = 0;
+  const size_t size = mo_encode_environment(&environment, bytes);
+  REQUIRE(mo_encode_environment(&whole, plain) == 66 * sizeof(double) && size <= sizeof(bytes));
+  REQUIRE_OK(mo_decode_environment(bytes, size, &found));
+  CHECK(found.drop_m == 0.25 && found.factors.given == 0 && found.light_xy_m[0] == 4);
+  mo_environment_hash(&environment, &hashes[0]);
+  mo_environment_hash(&whole, &hashes[1]);
+  CHECK(!mo_sha256_equal(&hashes[0], &hashes[1]));
+  environment.factors = mo_factors_ones();
+  environment.factors.mass = 2;
+  whole.factors = environment.factors;
+  CHECK_INT(mo_encode_environment(&environment, bytes), size);
+  CHECK_INT(mo_encode_environment(&whole, plain), size - sizeof(double));
+  REQUIRE_OK(mo_decode_environment(bytes, size, &found));
+  CHECK(found.drop_m == 0.25 && found.factors.mass == 2);
+  environment.drop_m = 1.5;
+  CHECK_INT(mo_decode_environment(bytes, mo_encode_environment(&environment, bytes), &found),
+            MO_ERR_CORRUPT);
+  CHECK_INT(mo_environment_check(&environment, NULL), MO_ERR_RANGE);
+}
+
 /* Damage follows the shape of a profile. */
 static void encodes_damage(void)
 {
@@ -277,6 +305,7 @@ static const struct check_case cases[] = {
     {"encodes environments", encodes_environments},
     {"encodes profiles", encodes_profiles},
     {"grids of other sizes are encoded with their heights", encodes_grids},
+    {"encodes drops", encodes_drops},
     {"encodes damage", encodes_damage},
     {"encodes objectives", encodes_objectives},
     {"refuses other bytes", refuses_other_bytes},

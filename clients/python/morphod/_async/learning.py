@@ -28,12 +28,14 @@ class Learning:
 
     _connection: AsyncConnection
 
-    async def pretrain(self, *, preset: Literal["workstation", "phototaxis", "paper"] | None = None,
+    async def pretrain(self, *, preset: (Literal["workstation", "phototaxis", "paper", "robust"] |
+                                         None) = None,
                        environments: Environments | None = None, name: str | None = None,
                        label: str | None = None, **settings: Any) -> AsyncTraining:
         """Starts the training of a controller on an endless stream of random bodies, in random
         worlds or in these `environments`, of which each robot of a step gets one. `settings` are
-        those of the contract (docs/learning.md), such as `steps`, `batch`, `tasks=["walk"]`."""
+        those of the contract (docs/learning.md), such as `steps`, `batch`, `tasks=["walk"]`,
+        `vary={"friction": [0.5, 1.2], "drop_m": [0, 0.2], "slope_degrees": [0, 10]}`."""
         return await self._train("pretrain", settings, preset=preset, environments=environments,
                                  name=name, label=label)
 
