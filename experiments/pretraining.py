@@ -55,7 +55,33 @@ def physics_of(arguments):
     }
 
 
+def range_of(text):
+    """Returns the name and the range of NAME=LOW:HIGH."""
+    name, _, ends = text.partition("=")
+    low, _, high = ends.partition(":")
+    return name, [float(low), float(high)]
+
+
+# With a preset, the settings of these options are the preset's.
+OF_RECIPE = ("schedule", "peak", "floor", "decay", "warmup", "cycle", "growth", "bound", "rule",
+             "restart_weight", "beta1", "beta2", "epsilon", "impact", "integrator", "dt_ms",
+             "control_period_ms", "norm_limit", "sensor", "rollout_steps")
+
+
 def request_of(arguments, seed):
+    body = settings_of(arguments, seed)
+    if arguments.vary:
+        body["vary"] = dict(arguments.vary)
+    body["name"] = f"pretraining-{hashlib.sha256(recipe_of(body).encode()).hexdigest()[:12]}-{seed}"
+    return body
+
+
+def settings_of(arguments, seed):
+    if arguments.preset:
+        usual = options().parse_args([])
+        for name in OF_RECIPE:
+            if getattr(arguments, name) != getattr(usual, name):
+                sys.exit(f"--{name.replace('_', '-')} does not go with --preset, which has its own")
     body = {
         "kind": "pretrain", "seed": seed, "steps": arguments.steps, "batch": arguments.batch,
         "sensor": arguments.sensor, "schedule": schedule_of(arguments),
@@ -69,13 +95,18 @@ def request_of(arguments, seed):
                         "environments": arguments.validation_environments
                     }, "checkpoint": {"keep": 1}
     }
-    body["name"] = f"pretraining-{hashlib.sha256(recipe_of(body).encode()).hexdigest()[:12]}-{seed}"
+    if arguments.preset:
+        kept = ("kind", "seed", "steps", "batch", "device", "validation", "checkpoint")
+        body = {"preset": arguments.preset, **{name: body[name] for name in kept}}
     return body
 
 
 def recipe_of(body):
     """Returns the recipe as one line without commas: always schedule, bound and size, and whatever
     differs from the usual."""
+    varied = [f"{name} {low:g}..{high:g}" for name, (low, high) in body.get("vary", {}).items()]
+    if "preset" in body:
+        return " ".join([body["preset"], *varied]) + f" / {body['batch']} x {body['steps']}"
     schedule = body["schedule"]
     kind, usual = next((name, s) for name, s in SCHEDULES.items() if s["kind"] == schedule["kind"])
     words = [{"one-cosine": "one cosine", "paper-pretrain": "restarts"}.get(kind, kind),
@@ -104,7 +135,7 @@ def recipe_of(body):
                                       (body["physics"]["impact"], "exact"),
                                       (body["sensor"], "inverse_sqrt")) if word != usual_word
     ]
-    return " ".join(words) + f" / {body['batch']} x {body['steps']}"
+    return " ".join(words + varied) + f" / {body['batch']} x {body['steps']}"
 
 
 def usual_steps(physics):
@@ -366,6 +397,8 @@ def options():
         ("--validation-every", int, 50, "steps between validations (default 50; 0: never)"),
         ("--validation-designs", int, 256, "held-out bodies (default 256)"),
         ("--validation-environments", int, 8, "held-out environments of each (default 8)"),
+        ("--preset", ("workstation", "phototaxis", "paper", "robust"), None,
+         "all settings but steps and batch; only --vary goes with it"),
         own_daemon.ROLLOUT_STEPS, own_daemon.LIMIT,
         ("--csv", Path, Path("pretraining.csv"), "read at the start, rewritten with new rows"),
         ("--svg", Path, Path("pretraining.svg"), None),
@@ -374,6 +407,8 @@ def options():
          "page that gets the table, between the markers pretraining: begin and end"),
         ("--report", bool, False,
          "run nothing: only make the table and the drawing from the CSV file"))
+    parser.add_argument("--vary", type=range_of, action="append", metavar="NAME=LOW:HIGH",
+                        help="range of what varies in the worlds; can be repeated")
     return parser
 
 
