@@ -208,6 +208,12 @@ def no_cells(picture, rng):
             {"cells": 3}][rng.integers(12)], Refused()
 
 
+def nested(value):
+    for _ in range(2000):  # more than repr() follows
+        value = [value]
+    return value
+
+
 def no_body(picture, rng):
     cells = cells_of(picture, rng)
     digits = "".join("01"[voxel] for voxel in picture.ravel().tolist())
@@ -215,7 +221,8 @@ def no_body(picture, rng):
             (cell for cell in cells), iter(cells), pandas.DataFrame(cells), pandas.Series(digits),
             pandas.DataFrame(picture[0]), range(3), {"cells": cells, "id": "0" * 36}, {},
             {"cells": cells, "genotype": digits}, {"voxels": cells}, {"id": digits}, object(),
-            np.float64(1), bytearray(3), Body][rng.integers(23)], Refused()
+            np.float64(1), bytearray(3), Body, memoryview(picture), memoryview(np.array(cells)),
+            [nested(cells)]][rng.integers(26)], Refused()
 
 
 READ = [zeros_and_ones, material_numbers, listed_cells, named_cells, texts, rows]

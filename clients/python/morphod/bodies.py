@@ -280,6 +280,9 @@ def _listed(bodies: Any) -> Iterable[Any]:
         if dimensions != 4 and (dimensions != 1 or bodies.dtype.kind not in "OU"):
             raise BodyError(f"an array of bodies has the shape (n, 6, 6, 4), not {bodies.shape}" + (
                 f"; of one body, {_TWO_WAYS}" if dimensions == 2 else ": reshape it"))
+    elif isinstance(bodies, memoryview):
+        raise BodyError("memoryview is not a list of bodies: give an array of NumPy, as by "
+                        "np.asarray(it)")
     elif dimensions == 2:
         raise BodyError("a table is not a list of bodies: give its column of genotypes, such as "
                         'table["genotype"]')
@@ -292,7 +295,7 @@ def _listed(bodies: Any) -> Iterable[Any]:
 
 def _is_triple(value: Any) -> bool:
     is_flat = value.ndim == 1 if isinstance(value, np.ndarray) else (
-        isinstance(value, Sequence) and not isinstance(value, (str, bytes)))
+        isinstance(value, Sequence) and not isinstance(value, (str, bytes, memoryview)))
     return is_flat and len(value) == 3
 
 
@@ -356,7 +359,7 @@ def _convert(body: BodyLike) -> Body:
         return _from_mapping(body)
     if isinstance(body, np.ndarray):
         return _from_array(body)
-    if isinstance(body, Sequence) and not isinstance(body, (bytes, bytearray)):
+    if isinstance(body, Sequence) and not isinstance(body, (bytes, bytearray, memoryview)):
         return Body(_from_list(body))
     how = ("an array of NumPy, as by np.asarray(it)" if getattr(body, "ndim", 0) > 0 else
            "an array, a list of cells, a genotype or an id")
@@ -467,7 +470,10 @@ def _from_cells(cells: Any) -> NDArray[np.bool_]:
 
 
 def _short(value: Any) -> str:
-    text = str(value) if isinstance(value, (float, np.generic)) else repr(value)
+    try:
+        text = str(value) if isinstance(value, (float, np.generic)) else repr(value)
+    except Exception:  # such as lists nested too deeply
+        return f"of the type {type(value).__name__}"
     return text if len(text) <= 40 else text[:39] + "…"
 
 
