@@ -163,9 +163,24 @@ void act(struct ctl *ctl, struct request request, const char *words)
   reply_free(&reply);
 }
 
+/* Ends the program if the suffix of a file names another format than the one that is accepted, such
+ * as .parquet for CSV: programs that open the file would trust it. */
+static void check_suffix(const char *accept, const char *output)
+{
+  static const char *const formats[][3] = {{"text/csv", "CSV", ".csv"},
+                                           {"image/svg+xml", "SVG", ".svg"}};
+  const char *folder = strrchr(output, '/'), *name = folder != NULL ? folder + 1 : output,
+             *suffix = strrchr(name, '.');
+  for (size_t i = 0; suffix != NULL && i < sizeof(formats) / sizeof(formats[0]); i++)
+    if (strcmp(accept, formats[i][0]) == 0 && strcmp(suffix, formats[i][2]) != 0)
+      fail(STATUS_USAGE, "this is a file of %s; name it %s, not \"%s\"", formats[i][1],
+           formats[i][2], name);
+}
+
 void save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output)
 {
   struct reply reply;
+  check_suffix(accept, output);
   transport_get(ctl, path, accept, &reply);
   save_output(output, "", 0, reply.body, reply.body_bytes);
   if (!ctl->quiet && strcmp(output, "-") != 0)

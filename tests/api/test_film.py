@@ -26,8 +26,22 @@ def test_a_picture(ctl, tmp_path):  # noqa: F811
                          ("film --time 1 --output a.y4m", "--time is not an option of film")):
         status, _, err = ctl(wrong, CELLS)
         assert status == 2 and words in err, (wrong, err)
-    status, _, err = ctl("export designs --output g.parquet")
-    assert status == 2 and ".csv, .ndjson" in err, err
+
+
+def test_files_have_the_suffix_of_their_format(ctl, tmp_path):  # noqa: F811
+    """A program that opens a file trusts its suffix. The name is checked before the request."""
+    for what, words in (("export designs --output", ".csv, .ndjson"),
+                        ("campaign export 1 --curve", "name it .csv"),
+                        ("campaign export 1 --phylogeny", "name it .csv"),
+                        ("campaign export 1 --learning", "name it .csv"),
+                        ("campaign export 1 --replicates", "name it .csv"),
+                        ("train export 1 --curve", "name it .csv"),
+                        ("train export 1 --validations", "name it .csv"),
+                        ("suite picture 1 --output", "name it .svg")):
+        for name in ("g.parquet", "g.csv.gz", "g.png"):
+            status, _, err = ctl(what, str(tmp_path / name))
+            assert status == 2 and words in err, (what, name, err)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_films(ctl, tmp_path):  # noqa: F811

@@ -352,6 +352,9 @@ def test_rollouts_continue_from_states(m):
 def test_players_are_one_file(m, tmp_path):
     player = m.evaluate([DESIGN], WORLD, physics=SHORT).show()
     player.save(tmp_path / "player.html")
+    with pytest.raises(ValueError, match="name it .html"):
+        player.save(tmp_path / "player.mp4")
+    assert [path.name for path in tmp_path.iterdir()] == ["player.html"]
     page = (tmp_path / "player.html").read_text()
     assert "const DATA=" in page and "class Stage" in page and "bodyOf(" in page
     # The page loads nothing from elsewhere.

@@ -6,6 +6,7 @@ import base64
 import html
 import json
 import os
+import pathlib
 import re
 from collections.abc import Generator
 from typing import Any
@@ -26,7 +27,11 @@ class Player:
         self.html = page
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the HTML file."""
+        """Writes the HTML file. Its name ends in .html or .htm, or has no suffix."""
+        suffix = pathlib.Path(path).suffix
+        if suffix.lower() not in ("", ".html", ".htm"):
+            raise ValueError(f"{path}: a player is an HTML file; name it .html (morphoctl film and "
+                             "picture make films and pictures)")
         with open(path, "w", encoding="utf-8") as file:
             file.write(self.html)
 
