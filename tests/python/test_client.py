@@ -481,6 +481,13 @@ def test_a_phylogeny(m, service, campaign):
         (parent, number) for number, row in rows.items() for parent in row["parents"]}
     newick = service.request("GET", f"/v1/campaigns/{campaign[0]}/phylogeny?format=newick").body
     assert sorted(phylogeny.to_newick().split()) == sorted(newick.decode().split())
+    youngest = max(rows)
+    line = m.get_campaign(campaign[0]).ancestors(youngest)
+    assert line["number"].tolist() == sorted(networkx.ancestors(graph, youngest)) + [youngest]
+    for name in ("robot", "genotype", "parents", "score", "born"):
+        assert line[name].tolist() == [rows[number][name] for number in line["number"]]
+    with pytest.raises(morphod.NotFoundError):
+        m.get_campaign(campaign[0]).ancestors(youngest + 1)
     lineages = m.get_campaign(campaign[0]).phylogeny(lineages=True)
     assert lineages.alive.sum() == phylogeny.alive.sum() and len(lineages) < len(phylogeny)
 

@@ -156,6 +156,15 @@ class AsyncCampaign(AsyncJob):
             keep="lineages" if lineages else "all"))
         return Phylogeny(reply.content)
 
+    async def ancestors(self, number: int) -> pd.DataFrame:
+        """Returns a table of all ancestors of a design, the oldest first, and of the design itself
+        at the end, each with its `number`, `robot`, `genotype`, parents and score."""
+        path = f"/v1/campaigns/{self.id}/designs/{number}"
+        own = await self._connection.json(Request.get(path))
+        rows = [row async for row in self._connection.pages(f"{path}/ancestors")]
+        return frame([*rows, {name: value for name, value in own.items()
+                              if name not in ("campaign", "children")}])
+
     async def extend(self, generations: int) -> None:
         """Adds generations; a campaign that has succeeded continues."""
         request = Request.submit(f"/v1/campaigns/{self.id}/extend", {"generations": generations})
