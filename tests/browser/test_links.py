@@ -271,6 +271,25 @@ def test_forms_say_what_they_leave_open(service, browser):
     browser.until(f"{form}.innerText.includes('10 rollouts')")
 
 
+def test_bodies_of_pretraining_are_a_choice(service, browser):
+    """The form shows the default of the contract, and sends the other value."""
+    browser.open("overview")
+    for value, label in (("true", "left out"), ("false", "allowed")):
+        browser.click("New campaign")
+        browser.until("document.querySelector('dialog[open] form')")
+        assert browser.run(f"return {FIELD}.exclude_pretraining.value") == "true"
+        fill(browser, {"exclude_pretraining": value, "population": "4", "generations": "0",
+                       "label": label})
+        browser.click("Start", "dialog button")
+        browser.until(f"{HEADING} === {label!r}")
+        id = browser.run("return location.hash.split('/')[2]")
+        settings = service.get(f"/v1/campaigns/{id}")["settings"]
+        assert settings["exclude_pretraining"] is (value == "true")
+        service.act(id, "cancel")
+        go(browser, "overview")
+    assert browser.faults() == []
+
+
 def test_dialogs_are_forms(service, browser):
     """Enter submits the form, and the browser checks the bounds."""
     from selenium.webdriver.common.keys import Keys

@@ -498,6 +498,7 @@ def test_a_form_can_be_copied(service, browser, tmp_path):
     made = service.get("/v1/campaigns?limit=2")["items"]
     assert [one["label"] for one in made] == ["it's"] * 2
     assert made[0]["settings"] == made[1]["settings"]
+    assert made[0]["settings"]["exclude_pretraining"] is False, "proposed for founders"
 
 
 def test_campaigns_are_compared_with_an_interval(service, browser):

@@ -3,7 +3,10 @@
 import { h } from '../lib/dom.js';
 
 /** Names of fields for which the contract's name is unclear. */
-const NAMES = { name: 'Name of the new controller', label: 'Label of the job' };
+const NAMES = {
+  name: 'Name of the new controller', label: 'Label of the job',
+  exclude_pretraining: 'Leave out bodies of pretraining',
+};
 /** Studies need a client that makes the children, so there is no form for them. */
 const LEFT_OUT = { mode: ['study'] };
 /** Descriptions that replace those of the contract, which are about requests. */
@@ -75,6 +78,9 @@ export function fieldsOf(kind, names, contract, controllers, proposed) {
   const { properties, required = [] } = contract.components.schemas[SCHEMAS[kind]];
   return names.map((name) => {
     const schema = resolve(contract, properties[name]);
+    if (schema.type === 'boolean') {
+      Object.assign(schema, { enum: ['true', 'false'], default: `${schema.default}` });
+    }
     const fault = h('span.fault', { role: 'alert' });
     const input = inputFor(kind, name, schema, required.includes(name), controllers);
     if (required.includes(name)) input.required = true;
@@ -89,7 +95,7 @@ export function fieldsOf(kind, names, contract, controllers, proposed) {
 
 /** Sets a value; a choice gets it as a further one if it does not offer it. */
 function propose(input, value) {
-  if (input.tagName === 'SELECT' && ![...input.options].some((one) => one.value === value)) {
+  if (input.tagName === 'SELECT' && ![...input.options].some((one) => one.value === `${value}`)) {
     input.append(h('option', { value }, value));
   }
   input.value = value;

@@ -27,8 +27,8 @@ const FIRST = {
 const MORE = {
   evaluation: ['precision', 'priority', 'weight', 'device', 'experiment'],
   training: ['steps', 'batch', 'seed', 'weight', 'device', 'experiment'],
-  campaign: ['controller', 'seed', 'replicates', 'selection', 'name', 'weight', 'device',
-    'experiment'],
+  campaign: ['controller', 'seed', 'replicates', 'selection', 'exclude_pretraining', 'name',
+    'weight', 'device', 'experiment'],
 };
 
 /** Returns the names of the fields of a form. */
@@ -50,7 +50,8 @@ function morphoctlOf(kind, request, learnedOn) {
   }[kind]();
   for (const name of fieldNames(kind)) {
     if (request[name] === undefined || ['kind', 'mode'].includes(name)) continue;
-    words.push(`--${name}`, String(request[name]));
+    if (name !== 'exclude_pretraining') words.push(`--${name}`, String(request[name]));
+    else if (!request[name]) words.push('--no-exclusions');
   }
   const { environments, tasks } = request;
   if (tasks) words.push('--tasks', tasks.join());
@@ -109,7 +110,8 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {
     for (const { name, schema, input } of fields) {
       const isNumber = ['integer', 'number'].includes(schema.type);
       const value = input.value || (isWhole && isNumber ? input.placeholder : '');
-      if (value !== '') result[name] = isNumber ? Number(value) : value;
+      if (schema.type === 'boolean') result[name] = value === 'true';
+      else if (value !== '') result[name] = isNumber ? Number(value) : value;
     }
     if (designs) result.designs = designsIn(designs.value);
     return { ...result, ...tasks?.request };
@@ -204,7 +206,7 @@ const founders = (n) =>
  * @param {object[]} designs {id} or {voxels} each
  */
 export const breed = (app, designs) => startDialog(app, 'campaign', { initial: { designs } },
-  { population: Math.max(32, designs.length), generations: 20 });
+  { population: Math.max(32, designs.length), generations: 20, exclude_pretraining: false });
 
 /**
  * Returns the button that does this; hidden if the caller may not start a campaign.
