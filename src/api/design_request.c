@@ -9,6 +9,8 @@
 
 #include "base/text.h"
 
+#define REPAIR_HINT "; requests that accept \"repair\": \"largest\" keep the largest piece"
+
 /* Skips the next item and all later ones. */
 static void skip_rest(struct mo_json *json)
 {
@@ -62,7 +64,8 @@ static void cell_fault(struct mo_json *json, unsigned depth, int code,
   case MO_ERR_NOT_CONTIGUOUS:
     mo_json_fault_at(
         json, depth, below,
-        "the cell is not connected to cell 0; a body must be one piece, connected through faces");
+        "the cell is not connected to cell 0; a body must be one piece, connected through "
+        "faces" REPAIR_HINT);
     break;
   default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;
   }
@@ -157,7 +160,7 @@ static bool read_voxels(struct mo_json *json, struct shape *shape)
   case MO_ERR_NOT_CONTIGUOUS:
     mo_json_fault_at(json, depth, "",
                      "voxel %zu (counting from 0) is not connected to the first one; a body must "
-                     "be one piece, connected through faces",
+                     "be one piece, connected through faces" REPAIR_HINT,
                      fault.cell);
     break;
   default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;

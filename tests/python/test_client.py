@@ -185,6 +185,7 @@ def test_repair_is_reported(m):
     with pytest.raises(morphod.InvalidError) as caught:
         m.evaluate([apart])
     assert caught.value.status == 422 and "/designs/0" in str(caught.value)
+    assert '"repair": "largest" keep' in str(caught.value)
     assert caught.value.faults and re.fullmatch("[0-9a-f]{16}", caught.value.request_id)
     evaluation = m.evaluate([apart], physics=SHORT, repair="largest")
     assert evaluation[0].lost == ("1 voxels that did not belong to the largest piece", )
