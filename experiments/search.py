@@ -265,7 +265,7 @@ def parser_of():
     parser = argparse.ArgumentParser(
         prog="tools/bench search", description="Search methods on an atlas: exact regret against "
         "the number of evaluations. The table goes to standard output. Methods whose package is "
-        "not installed are named as not run: pip install 'morphod[search]'.")
+        "not installed are named as not run: pip install './clients/python[search]'.")
     parser.add_argument("atlas", help="an atlas file")
     parser.add_argument("--evaluations", type=int, default=1000, help="of each run (default 1000)")
     parser.add_argument("--seeds", type=int, default=30, help="runs of each method (default 30)")

@@ -33,6 +33,18 @@ def test_every_public_name_is_documented():
     assert not missing
 
 
+def test_no_page_installs_the_name_from_an_index():
+    """The package is in no index, where anybody could take the name."""
+    root = PACKAGE.parents[1]
+    files = [root / "README.md", *(path for folder in ("clients/python", "docs", "experiments")
+                                   for path in (root / folder).rglob("*")
+                                   if path.suffix in (".md", ".py", ".ipynb", ".txt"))]
+    assert len(files) > 50
+    wrong = [str(path) for path in files
+             if re.search(r"pip install ['\"\\\\]*morphod\b", path.read_text())]
+    assert not wrong
+
+
 def test_examples_of_the_readme(service, monkeypatch, tmp_path):
     """The examples run in order, unchanged, with a service."""
     monkeypatch.setenv("MORPHOD_SERVER", f"http://{service.host}:{service.port}")

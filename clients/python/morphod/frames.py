@@ -17,7 +17,7 @@ def pandas() -> Any:
     try:
         import pandas as module
     except ImportError:
-        raise MorphodError("tables need pandas: pip install 'morphod[pandas]'") from None
+        raise MorphodError("tables need pandas: pip install pandas") from None
     return module
 
 

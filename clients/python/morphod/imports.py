@@ -238,7 +238,7 @@ def _population(path: pathlib.Path) -> NDArray[Any]:
     try:
         import h5py
     except ImportError:
-        raise ImportError("reading .h5 needs h5py: pip install 'morphod[hdf5]'") from None
+        raise ImportError("reading .h5 needs h5py: pip install h5py") from None
     with h5py.File(path, "r") as file:
         if "robots/polycubes" not in file or "robots/pc_hashes" not in file:
             raise BodyError(f"{path.name} has no robots/polycubes with robots/pc_hashes")
