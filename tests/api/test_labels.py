@@ -1,5 +1,7 @@
 """Labels, experiments, notes, the archive, deletion, the usage of jobs, retention rules."""
 
+import os
+import pathlib
 import signal
 import sqlite3
 import time
@@ -144,6 +146,23 @@ def test_usage(service):
     lines = service.table("/v1/usage?by=kind&format=csv")
     assert sum(int(line["jobs"]) for line in lines) >= 2
     service.refuses("/v1/usage", "?by=state", "?cursor=1")
+
+
+def test_core_seconds_are_processor_time(start):
+    """Four workers share one core: waiting for it does not count."""
+    service = start("--workers=4")
+    core = min(os.sched_getaffinity(0))
+    for thread in os.listdir(f"/proc/{service.process.pid}/task"):
+        os.sched_setaffinity(int(thread), {core})
+
+    def used():
+        fields = pathlib.Path(f"/proc/{service.process.pid}/stat").read_text().rsplit(")", 1)[1]
+        return sum(map(int, fields.split()[11:13])) / os.sysconf("SC_CLK_TCK")
+
+    before = used()
+    done = run(service, "evaluations", {"physics": {"n_steps": 10000}, "designs": [
+        {"cells": [[x, y, 0] for x in range(n) for y in range(3)]} for n in range(1, 7)]})
+    assert 0.3 < done["core_seconds"] <= 1.1 * (used() - before) + 0.05, done["core_seconds"]
 
 
 def test_usage_survives_a_kill(start, tmp_path):
