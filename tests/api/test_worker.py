@@ -156,7 +156,7 @@ def test_sigterm_ends_a_worker_within_a_block(daemon, launch, known):
         assert worker.stop() == 0, worker.log_text()
     assert {i: state for i, state, *_ in daemon.results} == {
         (1, 0): DONE, (1, 1): GIVEN_BACK, (1, 2): GIVEN_BACK}
-    assert daemon.sessions == {}
+    assert daemon.sessions == {} and ": left, 0 leases held" in worker.log_text()
 
 
 def test_dropped_leases_make_room_at_once(daemon, launch, known):
