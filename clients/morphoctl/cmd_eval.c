@@ -157,9 +157,10 @@ void run_eval(struct ctl *ctl)
     print_from(stderr, evaluation,
                "all results: morphoctl export evaluations/{id}/results -o FILE.csv");
   if (speaks)
-    print_from(stderr, evaluation,
-               "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them from "
-               "the store[, {rollouts_cut>0:,} not needed]");
+    print_from(
+        stderr, evaluation,
+        "evaluation {id}: {rollouts_total:,} rollout{rollouts_total:s}, {rollouts_cached:,} of "
+        "them from the store[, {rollouts_cut>0:,} not needed]");
   expect_success("job", evaluation);
   if (output != NULL)
     save_trajectories(ctl, evaluation, output);

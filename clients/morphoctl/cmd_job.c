@@ -178,8 +178,8 @@ static bool asks(struct ctl *ctl)
   for (size_t i = 0; i < ctl->n_operands; i++)
     print_from(stderr, get_json(ctl, "/v1/jobs/%s", job_id(ctl->operands[i])),
                "{kind} {id}[ \"{label}\"], {state}[, {recorded_bytes>0:MB} MB of recordings]"
-               "[, {campaign.generations:,} generations|, {training.steps:,} steps"
-               "|, {n_designs:,} designs]");
+               "[, {campaign.generations:,} generation{campaign.generations:s}"
+               "|, {training.steps:,} step{training.steps:s}|, {n_designs:,} design{n_designs:s}]");
   if (!isatty(STDIN_FILENO))
     fail(STATUS_USAGE, "standard input is not a terminal: use --yes to confirm");
   fputs("Results, recordings, curves and phylogeny are deleted permanently; designs, scores and "

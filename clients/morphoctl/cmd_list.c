@@ -31,8 +31,10 @@ static const struct list {
      ">job={id}|kind=[{training.kind}|{campaign.mode}|{kind}]|" STATE
      "|priority={priority}|>designs=[{campaign.population:,}|{n_designs:,}|{atlas.bodies_total:,}"
      "|{certificate.designs:,}]"
-     "|>work=[{training.steps:,} steps|{campaign.generations:,} generations"
-     "|{rollouts_total:,} rollouts|{certificate.rollouts:,} rollouts|{atlas.voxels} voxels]"
+     "|>work=[{training.steps:,} step{training.steps:s}"
+     "|{campaign.generations:,} generation{campaign.generations:s}"
+     "|{rollouts_total:,} rollout{rollouts_total:s}"
+     "|{certificate.rollouts:,} rollout{certificate.rollouts:s}|{atlas.voxels} voxels]"
      "|>done=[{training.step/training.steps:%}"
      "|{campaign.generation/campaign.generations:%}"
      "|{rollouts_done/rollouts_total:%}|{certificate.rollouts_done/certificate.rollouts:%}"

@@ -259,7 +259,8 @@ const struct live_kind training_kind = {
     .size = sizeof(struct training),
     .noun = "training",
     .command = "train",
-    .accepted = "training {id} is accepted: {settings.steps:,} steps of {settings.batch:,} robots",
+    .accepted = "training {id} is accepted: {settings.steps:,} step{settings.steps:s} of "
+                "{settings.batch:,} robot{settings.batch:s}",
     .ask_s = ASK_S,
     .load = load,
     .print = print,

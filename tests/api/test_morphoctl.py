@@ -117,6 +117,20 @@ def test_the_same_key_is_the_same_evaluation(ctl):
     assert status == 6 and "key" in err.lower(), err
 
 
+def test_one_is_singular(ctl, service):
+    world = json.dumps([{"light_xy_m": [4.0, 3.0], "terrain_sigma_m": 0.05, "seed": 3}])
+    said = ctl(f"eval {SHORT} --environments -", *["80" + "0" * 34], input_text=world)[2]
+    assert ": 1 rollout, " in said, said
+    said = ctl(f"campaign start zero-shot --population 2 --generations 1 {SHORT}")[2]
+    assert ": zero-shot, 2 designs, 1 generation;" in said, said
+    id = ctl(f"train start finetune {'80' + '0' * 34} --steps 1 --batch 1 {SHORT}")
+    assert ": 1 step of 1 robot;" in id[2], id
+    work = [re.search(r"1 (\w+) ", line)[1]
+            for line in ctl("job list --limit 3")[1].splitlines()[1:]]
+    assert sorted(work) == ["generation", "rollout", "step"], work
+    service.act(id[1].strip(), "cancel")
+
+
 def test_faults_name_their_place(ctl):
     status, out, err = ctl("eval", input_text="[[0,0,0],[5,5,3]]\n[[1,1,1]]")
     assert (status, out) == (6, "") and "/designs/0/cells/1" in err, err
