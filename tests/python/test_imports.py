@@ -171,6 +171,11 @@ def test_what_the_palette_of_voxcraft_loses(tmp_path):
                "</Elastic_Mod></Mechanical></Material></Palette>")
     file.write_text(vxd("ASCII_READABLE", ["1"], (1, 1, 1)).replace("<VXD>", "<VXD>" + palette))
     assert read_bodies(file)[0].lost == ("left out of the file: stiffness, cilia", )
+    more = palette.replace("<Elastic_Mod>", "<CTE>0.01</CTE><Density>1e6</Density><uDynamic>0.5"
+                           "</uDynamic><uStatic>0</uStatic><Elastic_Mod>")
+    file.write_text(vxd("ASCII_READABLE", ["1"], (1, 1, 1)).replace("<VXD>", "<VXD>" + more))
+    assert read_bodies(file)[0].lost == (
+        "left out of the file: stiffness, cilia, density, friction, thermal expansion", )
 
 
 def test_populations(tmp_path):

@@ -167,6 +167,9 @@ _OF_VOXCRAFT = {
     "phase offsets": ("PhaseOffset", "TempPhase", "MaterialTempPhase"),
     "stiffness": ("Stiffness", "Elastic_Mod"),
     "cilia": ("Cilia", "CiliaForce", "BaseCiliaForce", "ShiftCiliaForce"),
+    "density": ("Density", ),
+    "friction": ("uStatic", "uDynamic"),
+    "thermal expansion": ("CTE", ),  # by which materials move
 }
 """What these programs store about a body besides its materials, by XML tag."""
 
