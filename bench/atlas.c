@@ -58,7 +58,7 @@ static void write_all(const struct mo_atlas_source *source, const char *path)
   while ((error = mo_atlas_bodies_next(bodies, form)) == MO_OK) {
     for (uint32_t e = 0; e < MO_PAPER_TEST_COUNT; e++)
       losses[e] = loss_of(form, e);
-    bench_check(mo_atlas_writer_add(writer, form, losses), "body");
+    bench_check(mo_atlas_writer_add(writer, form, losses, NULL), "body");
   }
   bench_check(error == MO_ERR_EXHAUSTED ? MO_OK : error, "stream of bodies");
   bench_check(mo_atlas_writer_finish(writer, &message), message.text);

@@ -16,6 +16,7 @@
 #include <stdint.h>
 
 #include <morpho/error.h>
+#include <morpho/measure.h>
 #include <morpho/morphospace.h>
 #include <morpho/world.h>
 
@@ -67,12 +68,14 @@ uint32_t mo_atlas_designs(const struct mo_atlas_scope *scope, const uint64_t *fo
                           enum mo_atlas_orientations orientations,
                           struct mo_bits designs[MO_ORIENTATIONS]);
 
-/* What the losses of a file depend on, with the environments. */
+/* What the losses and measures of a file depend on, with the environments. */
 struct mo_atlas_source {
   struct mo_atlas_scope scope;
   enum mo_atlas_orientations orientations;
   uint8_t controller_sha256[32];
   uint8_t physics_sha256[32];
+  uint32_t measures; /* that bodies have besides their losses: bit k for measure k; 0: none, and the
+                        file is of version 1 */
   char fingerprint[MO_ATLAS_FINGERPRINT]; /* of the code that computed the losses: printable ASCII;
                                              "": unknown */
 };
@@ -94,9 +97,12 @@ uint64_t mo_atlas_writer_position(const struct mo_atlas_writer *writer); /* the 
 uint64_t mo_atlas_writer_bodies(const struct mo_atlas_writer *writer);   /* in all */
 /* Adds the next body. form: to check that it is this one (MO_ERR_CONFLICT: nothing was added).
  * losses: (n environments), with `images` the means over the images; finite or +infinity
- * (MO_ERR_INVALID: nothing was added). MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: nothing was added; try
- * again later. After MO_ERR_IO, free the writer; a new one continues. */
-int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses);
+ * (MO_ERR_INVALID: nothing was added). measures: those of the source, in the order of enum
+ * mo_measure, as means over the environments; finite as float32, or NaN without a value
+ * (MO_ERR_INVALID); not read if the source has none. MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: nothing was
+ * added; try again later. After MO_ERR_IO, free the writer; a new one continues. */
+int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses,
+                        const double *measures);
 /* Makes all added bodies durable, which otherwise happens block by block. It replaces what was
  * saved of the last block: if it is torn, or MO_ERR_NO_SPACE, that is lost in the file.
  * MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: try again. MO_ERR_IO: as for mo_atlas_writer_add. */
@@ -130,6 +136,14 @@ uint32_t mo_atlas_form(const struct mo_atlas *atlas, uint64_t position, uint64_t
 float mo_atlas_score(const struct mo_atlas *atlas, uint64_t position);
 /* losses: (n environments), with 11 significant bits each; finite ones are at most 65504. */
 void mo_atlas_losses(const struct mo_atlas *atlas, uint64_t position, float *losses);
+/* Returns the mean of a measure over the environments: that of float64, rounded to float32. NaN: a
+ * rollout has no value, for example because it diverged, or the file does not have the measure. */
+float mo_atlas_measure(const struct mo_atlas *atlas, uint64_t position, enum mo_measure measure);
+/* Returns of how many of the other bodies of the same size the measure is lower, and half of those
+ * with an equal one, in percent of those with a value; 100 if there are no others, NaN if the body
+ * has no value. Reads the measure of all bodies of the size: of 899,126, in 0.3 ms. */
+double mo_atlas_measure_percentile(const struct mo_atlas *atlas, uint64_t position,
+                                   enum mo_measure measure);
 
 /* ---- neighbors ---- */
 
@@ -165,6 +179,12 @@ uint64_t mo_atlas_ascend(const struct mo_atlas *atlas, uint64_t position, unsign
  * each size. In memory, 8 bytes per body. Const after it is made; does not outlive the atlas. */
 struct mo_atlas_index;
 int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **index);
+/* The same by a measure of the file, the lowest first, or by its negative value, so that the
+ * highest is first: all functions of an index then use it in place of the score. Bodies without a
+ * value come last, are in no bin of a histogram, and must not be ranked. MO_ERR_NOT_FOUND: the file
+ * does not have the measure; MO_ERR_NO_MEMORY. */
+int mo_atlas_index_create_by(const struct mo_atlas *atlas, enum mo_measure measure,
+                             bool is_negative, struct mo_atlas_index **index);
 void mo_atlas_index_free(struct mo_atlas_index *index); /* NULL-safe */
 
 /* In the functions below, n_voxels 0 stands for all sizes. */

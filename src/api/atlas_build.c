@@ -4,6 +4,7 @@
 #include "api/jobs.h"
 #include "api/submission.h"
 #include "base/words.h"
+#include "exchange/values.h"
 #include "rollout/physics.h"
 
 /* ---- as JSON ---- */
@@ -32,6 +33,7 @@ static void write_job(struct mo_text *text, const void *any, const struct mo_liv
   mo_text_member(text, "name", record->name);
   mo_text_member_count(text, "voxels", record->voxels);
   mo_text_member(text, "orientations", mo_atlas_orientation_words[record->orientations]);
+  mo_member_measures(text, "measures", record->measures);
   mo_member_controller(text, "controller", true, job->controller_name, &job->controller_sha256);
   mo_member_environments(text, job->environment_set, job->n_environments);
   mo_text_name(text, "physics");

@@ -1,5 +1,5 @@
-/* atlas_compare.c: compares the scores of the same bodies in two atlases, as a histogram of both
- * and as Kendall's rank correlation.
+/* atlas_compare.c: compares the scores of the same bodies in two atlases, or the scores of an atlas
+ * with one of its measures, as a histogram of both and as Kendall's rank correlation.
  *
  * Atlases of one workspace list the same bodies in the same order, so a body is usually at the same
  * position; if it is not, it is looked up. Kendall's tau-b is exact, by Knight's method: the bodies
@@ -21,6 +21,7 @@
 struct comparison {
   struct mo_request *request;
   struct mo_atlas_use a, b; /* a has an index */
+  int measure;              /* of a, which takes the place of the scores of b; −1: none */
   uint64_t n, n_outside;    /* bodies in both; of these, diverged in one of them */
   uint32_t bins;
   float edges[2][BINS_MAX + 1];
@@ -48,10 +49,17 @@ static bool find_other(const struct comparison *comparison, uint64_t position, u
   return mo_atlas_find_key(b, n_voxels, key, other) == MO_OK;
 }
 
-/* Reads both scores of a body of the first atlas. Returns false if the second does not have it. */
+/* Reads both scores of a body of the first atlas, or its score and its measure. Returns false if
+ * the second atlas does not have it, or if the measure has no value. */
 static bool read_scores(const struct comparison *comparison, uint64_t position, float scores[2])
 {
   uint64_t other;
+  if (comparison->measure >= 0) {
+    scores[0] = mo_atlas_score(comparison->a.atlas, position);
+    scores[1] =
+        mo_atlas_measure(comparison->a.atlas, position, (enum mo_measure)comparison->measure);
+    return !isnan(scores[1]);
+  }
   if (!find_other(comparison, position, &other))
     return false;
   scores[0] = mo_atlas_score(comparison->a.atlas, position);
@@ -215,16 +223,21 @@ static int correlate(struct comparison *comparison)
 
 /* ---- the request ---- */
 
+/* b: the other atlas. */
 static void write_comparison(struct mo_text *text, const struct comparison *comparison,
                              const char *a, const char *b)
 {
   const uint32_t bins = comparison->bins;
+  const bool is_map = comparison->measure >= 0;
   mo_text_object(text);
-  mo_text_member(text, "a", a);
-  mo_text_member(text, "b", b);
+  mo_text_member(text, is_map ? "name" : "a", a);
+  mo_text_member(text, is_map ? "measure" : "b",
+                 is_map ? mo_measure_info[comparison->measure].name : b);
   mo_text_member_count(text, "bodies", comparison->n);
-  mo_atlas_member_floats(text, "edges_a", comparison->edges[0], bins + (size_t)1);
-  mo_atlas_member_floats(text, "edges_b", comparison->edges[1], bins + (size_t)1);
+  mo_atlas_member_floats(text, is_map ? "edges_score" : "edges_a", comparison->edges[0],
+                         bins + (size_t)1);
+  mo_atlas_member_floats(text, is_map ? "edges_measure" : "edges_b", comparison->edges[1],
+                         bins + (size_t)1);
   mo_text_open(text, "counts", "[");
   for (uint32_t i = 0; i < bins; i++) {
     mo_text_add(text, i > 0 ? ",[" : "[");
@@ -235,6 +248,9 @@ static void write_comparison(struct mo_text *text, const struct comparison *comp
   }
   mo_text_add(text, "]");
   mo_text_member_count(text, "outside", comparison->n_outside);
+  if (is_map)
+    mo_text_member_count(text, "without_value",
+                         mo_atlas_bodies_of(comparison->a.atlas) - comparison->n);
   mo_text_member_number(text, "kendall_tau", comparison->tau);
   mo_text_add(text, "}");
 }
@@ -254,24 +270,50 @@ static void compare(struct comparison *comparison, const char *a, const char *b)
   free(comparison->counts);
 }
 
-void mo_api_get_atlas_comparison(struct mo_request *request)
+/* Reads `bins`. Returns NULL if it has replied. */
+static struct comparison *begin(struct mo_request *request)
 {
-  const char *other = mo_query(request, "with");
   int64_t bins = BINS_DEFAULT;
   if (!mo_query_number(request, "bins", 1, BINS_MAX, &bins))
-    return;
-  if (other == NULL) {
-    mo_reply_bad_parameter(request, "with", "give the name of another atlas");
-    return;
-  }
+    return NULL;
   struct comparison *comparison = calloc(1, sizeof(*comparison));
   if (comparison == NULL) {
     mo_reply_error(request, MO_ERR_NO_MEMORY, "comparison");
-    return;
+    return NULL;
   }
   comparison->request = request;
   comparison->bins = (uint32_t)bins;
-  if (mo_atlas_begin(request, MO_ATLAS_NEED_INDEX, &comparison->a)) {
+  comparison->measure = -1;
+  return comparison;
+}
+
+void mo_api_get_atlas_map(struct mo_request *request)
+{
+  struct comparison *comparison = begin(request);
+  if (comparison == NULL)
+    return;
+  if (mo_query(request, "measure") == NULL) {
+    mo_reply_bad_parameter(request, "measure", "give a measure that the atlas has");
+  } else if (mo_atlas_begin(request, MO_ATLAS_NEED_INDEX, &comparison->a)) {
+    if (mo_atlas_query_measure(request, &comparison->a, &comparison->measure)) {
+      mo_atlas_make_room(&mo_api_of(request)->atlases,
+                         2 * sizeof(float) * mo_atlas_bodies_of(comparison->a.atlas));
+      compare(comparison, request->parameters[0], NULL);
+    }
+    mo_atlas_done(request, &comparison->a);
+  }
+  free(comparison);
+}
+
+void mo_api_get_atlas_comparison(struct mo_request *request)
+{
+  const char *other = mo_query(request, "with");
+  struct comparison *comparison = begin(request);
+  if (comparison == NULL)
+    return;
+  if (other == NULL) {
+    mo_reply_bad_parameter(request, "with", "give the name of another atlas");
+  } else if (mo_atlas_begin(request, MO_ATLAS_NEED_INDEX, &comparison->a)) {
     /* The floats of both scores; what other atlases have in memory gives way to them. */
     mo_atlas_make_room(&mo_api_of(request)->atlases,
                        2 * sizeof(float) * mo_atlas_bodies_of(comparison->a.atlas));

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "api/requests.h"
+#include "base/words.h"
 #include "exchange/values.h"
 
 /* ---- requests ---- */
@@ -177,12 +178,64 @@ bool mo_atlas_query_range(struct mo_request *request, float *lo, float *hi)
   return false;
 }
 
+bool mo_atlas_query_measure(struct mo_request *request, const struct mo_atlas_use *use,
+                            int *measure)
+{
+  const uint32_t set = mo_atlas_source_of(use->atlas)->measures;
+  const char *name = mo_query(request, "measure"), *names[MO_MEASURES + 1] = {NULL};
+  char list[MO_WORDS_BYTES], words[MO_WORDS_BYTES + 64];
+  uint32_t n = 0;
+  *measure = -1;
+  if (name == NULL)
+    return true;
+  for (int m = 0; m < MO_MEASURES; m++) {
+    if ((set >> m & 1) == 0)
+      continue;
+    names[n++] = mo_measure_info[m].name;
+    if (strcmp(name, mo_measure_info[m].name) == 0)
+      *measure = m;
+  }
+  if (*measure >= 0)
+    return true;
+  snprintf(words, sizeof(words), "%s%s",
+           n > 0 ? "must be a measure of the atlas: " : "the atlas has no measures",
+           n > 0 ? mo_words_list(names, list) : "");
+  mo_reply_bad_parameter(request, "measure", words);
+  return false;
+}
+
+bool mo_atlas_sort_by(struct mo_request *request, const struct mo_atlas_use *use, int measure,
+                      bool is_negative, struct mo_atlas_index **index)
+{
+  /* As much as the index of scores; what other atlases have in memory gives way to it. */
+  mo_atlas_make_room(&mo_api_of(request)->atlases,
+                     sizeof(uint64_t) * mo_atlas_bodies_of(use->atlas));
+  const int error =
+      mo_atlas_index_create_by(use->atlas, (enum mo_measure)measure, is_negative, index);
+  if (error != MO_OK)
+    mo_reply_error(request, error, "atlas");
+  return error == MO_OK;
+}
+
 /* ---- replies ---- */
 
 static void member_score(struct mo_text *text, const char *name, float score)
 {
   mo_text_name(text, name);
   mo_text_json_float(text, score);
+}
+
+static void write_measures(struct mo_text *text, const struct mo_atlas_use *use, uint64_t position)
+{
+  const uint32_t set = mo_atlas_source_of(use->atlas)->measures;
+  if (set == 0)
+    return;
+  mo_text_open(text, "measures", "{");
+  for (int m = 0; m < MO_MEASURES; m++)
+    if (set >> m & 1)
+      member_score(text, mo_measure_info[m].name,
+                   mo_atlas_measure(use->atlas, position, (enum mo_measure)m));
+  mo_text_add(text, "}");
 }
 
 void mo_atlas_write_body(struct mo_text *text, const struct mo_atlas_use *use, uint64_t position)
@@ -199,6 +252,7 @@ void mo_atlas_write_body(struct mo_text *text, const struct mo_atlas_use *use, u
   mo_text_member_bool(text, "diverged", !isfinite(score));
   mo_text_member_count(text, "rank", rank.better + 1);
   mo_text_member_number(text, "percentile", rank.percentile);
+  write_measures(text, use, position);
 }
 
 void mo_atlas_member_body(struct mo_text *text, const char *name, const struct mo_atlas_use *use,
@@ -277,6 +331,7 @@ int mo_atlas_write_description(const struct mo_atlas_use *use, const struct mo_a
   for (uint32_t i = 0; i < n; i++)
     mo_environment_write(text, &environments[i]);
   mo_text_add(text, "]");
+  mo_member_measures(text, "measures", source->measures);
   mo_text_member_count(text, "bodies", mo_atlas_bodies_of(use->atlas));
   mo_atlas_member_body(text, "best", use, mo_atlas_nth(use->index, 0, 0));
   mo_text_open(text, "sizes", "[");

@@ -28,6 +28,13 @@ bool mo_atlas_query_voxels(struct mo_request *request, const struct mo_atlas_use
 /* Read `lo` and `hi`, which do not change if they are absent; lo must be below hi. */
 bool mo_atlas_query_range(struct mo_request *request, float *lo, float *hi);
 
+/* Reads `measure`, one that the atlas has: of enum mo_measure; −1 if it is absent. */
+bool mo_atlas_query_measure(struct mo_request *request, const struct mo_atlas_use *use,
+                            int *measure);
+/* Sorts all bodies by a measure, or by its negative value. The caller frees the index. */
+bool mo_atlas_sort_by(struct mo_request *request, const struct mo_atlas_use *use, int measure,
+                      bool is_negative, struct mo_atlas_index **index);
+
 /* ---- replies ---- */
 
 /* Write a body, without its braces, so that more can follow; with its braces, as a member; and as

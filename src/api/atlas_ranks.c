@@ -1,4 +1,4 @@
-/* atlas_ranks.c: the best bodies of an atlas, and how its scores are distributed. */
+/* atlas_ranks.c: the best bodies of an atlas, and how its scores and measures are distributed. */
 #include <math.h>
 #include <stdlib.h>
 
@@ -7,47 +7,85 @@
 #define BINS_MAX     1024
 #define BINS_DEFAULT 64
 
-/* Returns how many bodies of a size, or of all (0), have a finite score. */
-static uint64_t count_finite(const struct mo_atlas_use *use, uint32_t n_voxels)
+/* What bodies are ordered by: the score, or a measure. */
+struct order {
+  const struct mo_atlas_index *index;
+  struct mo_atlas_index *own; /* NULL: the index is that of the scores */
+  int measure;                /* −1: the score */
+  bool is_negative;           /* the highest value of the measure comes first */
+};
+
+/* Reads `measure` and, for lists, `order`, and sorts the bodies. Returns false if it has replied.
+ * The caller frees order->own. */
+static bool begin_order(struct mo_request *request, const struct mo_atlas_use *use, bool is_list,
+                        struct order *order)
 {
-  const float edges[] = {-INFINITY, INFINITY};
-  uint64_t n = 0;
-  mo_atlas_histogram(use->index, n_voxels, edges, 1, &n);
-  return n;
+  static const char *const words[] = {"descending", "ascending", NULL};
+  int which = 0;
+  *order = (struct order){.index = use->index, .measure = -1};
+  if (!mo_query_word(request, "order", words, &which) ||
+      !mo_atlas_query_measure(request, use, &order->measure))
+    return false;
+  if (order->measure < 0) {
+    if (mo_query(request, "order") != NULL)
+      mo_reply_bad_parameter(request, "order", "needs a measure; scores begin with the best");
+    return mo_query(request, "order") == NULL;
+  }
+  order->is_negative = is_list && which == 0;
+  if (!mo_atlas_sort_by(request, use, order->measure, order->is_negative, &order->own))
+    return false;
+  order->index = order->own;
+  return true;
 }
 
 /* ---- the best ---- */
+
+/* Returns which bodies are in a range of scores or of values: as many as counts[1], after those of
+ * counts[0]. Those without a value, and diverged ones, come last, if the range has no end there. */
+static void find_range(const struct mo_request *request, const struct mo_atlas_use *use,
+                       const struct order *order, uint32_t n_voxels, float lo, float hi,
+                       uint64_t counts[2])
+{
+  float edges[] = {-INFINITY, lo, hi};
+  if (order->is_negative) { /* lo ≤ value < hi */
+    edges[1] = nextafterf(-hi, INFINITY);
+    edges[2] = nextafterf(-lo, INFINITY);
+  }
+  mo_atlas_histogram(order->index, n_voxels, edges, 2, counts);
+  if (mo_query(request, order->is_negative ? "lo" : "hi") == NULL)
+    counts[1] = (n_voxels > 0 ? mo_atlas_size(use->atlas, n_voxels, NULL)
+                              : mo_atlas_bodies_of(use->atlas)) -
+                counts[0];
+}
 
 void mo_api_get_atlas_best(struct mo_request *request)
 {
   struct mo_atlas_use use;
   struct mo_text text = {0};
+  struct order order = {.own = NULL};
   uint32_t n_voxels = 0;
+  float lo = -INFINITY, hi = INFINITY;
   int64_t cursor;
   size_t limit;
   if (!mo_query_limit(request, &limit) || !mo_query_cursor(request, &cursor) ||
       !mo_atlas_begin(request, MO_ATLAS_NEED_INDEX, &use))
     return;
-  float edges[] = {-INFINITY, -INFINITY, INFINITY};
-  if (mo_atlas_query_voxels(request, &use, &n_voxels) &&
-      mo_atlas_query_range(request, &edges[1], &edges[2])) {
+  if (mo_atlas_query_voxels(request, &use, &n_voxels) && mo_atlas_query_range(request, &lo, &hi) &&
+      begin_order(request, &use, true, &order)) {
     uint64_t counts[2] = {0}; /* before the range, and in it */
     const uint64_t skipped = cursor > 0 ? (uint64_t)cursor : 0;
-    mo_atlas_histogram(use.index, n_voxels, edges, 2, counts);
-    if (mo_query(request, "hi") == NULL) /* then diverged bodies follow, as the worst */
-      counts[1] = (n_voxels > 0 ? mo_atlas_size(use.atlas, n_voxels, NULL)
-                                : mo_atlas_bodies_of(use.atlas)) -
-                  counts[0];
+    find_range(request, &use, &order, n_voxels, lo, hi, counts);
     uint64_t i = skipped;
     mo_text_add(&text, "{\"items\":[");
     for (; i < counts[1] && i - skipped < limit; i++)
-      mo_atlas_item_body(&text, &use, mo_atlas_nth(use.index, n_voxels, counts[0] + i));
+      mo_atlas_item_body(&text, &use, mo_atlas_nth(order.index, n_voxels, counts[0] + i));
     mo_text_add(&text, "]");
     mo_text_member_count(&text, "bodies", counts[1]);
     mo_text_member_id(&text, "next_cursor", i < counts[1] ? (int64_t)i : -1);
     mo_text_add(&text, "}");
     mo_reply_text(request, MO_OK, &text, "page");
   }
+  mo_atlas_index_free(order.own);
   mo_atlas_done(request, &use);
 }
 
@@ -61,8 +99,9 @@ static void divide(float lo, float hi, uint32_t n, float *edges)
   edges[n] = hi;
 }
 
-static void write_counts(struct mo_text *text, const struct mo_atlas_use *use, uint32_t first,
-                         uint32_t last, const float *edges, uint32_t n)
+static void write_counts(struct mo_text *text, const struct mo_atlas_use *use,
+                         const struct mo_atlas_index *index, uint32_t first, uint32_t last,
+                         const float *edges, uint32_t n)
 {
   uint64_t counts[BINS_MAX], outside[MO_ATLAS_VOXELS_MAX + 1] = {0};
   mo_text_open(text, "sizes", "[");
@@ -72,7 +111,7 @@ static void write_counts(struct mo_text *text, const struct mo_atlas_use *use, u
   mo_text_open(text, "counts", "[");
   for (uint32_t size = first; size <= last; size++) {
     outside[size] = mo_atlas_size(use->atlas, size, NULL);
-    mo_atlas_histogram(use->index, size, edges, n, counts);
+    mo_atlas_histogram(index, size, edges, n, counts);
     mo_text_add(text, size > first ? ",[" : "[");
     for (uint32_t i = 0; i < n; i++) {
       mo_text_format(text, i > 0 ? ",%llu" : "%llu", (unsigned long long)counts[i]);
@@ -87,31 +126,54 @@ static void write_counts(struct mo_text *text, const struct mo_atlas_use *use, u
   mo_text_add(text, "]");
 }
 
+/* Finds where the bins begin and end if the request does not say it: at the lowest and after the
+ * highest finite score or value. */
+static void find_ends(const struct mo_atlas_use *use, const struct order *order, float *lo,
+                      float *hi)
+{
+  const float all[] = {-INFINITY, INFINITY};
+  float ends[2] = {0, 0};
+  uint64_t n = 0;
+  mo_atlas_histogram(order->index, 0, all, 1, &n);
+  if (n == 0)
+    return;
+  for (int end = 0; end < 2; end++) {
+    const uint64_t position = mo_atlas_nth(order->index, 0, end == 0 ? 0 : n - 1);
+    ends[end] = order->measure < 0
+                    ? mo_atlas_score(use->atlas, position)
+                    : mo_atlas_measure(use->atlas, position, (enum mo_measure)order->measure);
+  }
+  *lo = ends[0];
+  *hi = nextafterf(ends[1], INFINITY);
+}
+
 void mo_api_get_atlas_histogram(struct mo_request *request)
 {
   struct mo_atlas_use use;
   struct mo_text text = {0};
+  struct order order = {.own = NULL};
   int64_t bins = BINS_DEFAULT;
   uint32_t n_voxels = 0;
   float lo = 0, hi = 1, edges[BINS_MAX + 1];
   if (!mo_query_number(request, "bins", 1, BINS_MAX, &bins) ||
       !mo_atlas_begin(request, MO_ATLAS_NEED_INDEX, &use))
     return;
-  const uint64_t n_finite = count_finite(&use, 0);
-  if (n_finite > 0) {
-    lo = mo_atlas_score(use.atlas, mo_atlas_nth(use.index, 0, 0));
-    hi = nextafterf(mo_atlas_score(use.atlas, mo_atlas_nth(use.index, 0, n_finite - 1)), INFINITY);
-  }
-  if (mo_atlas_query_voxels(request, &use, &n_voxels) && mo_atlas_query_range(request, &lo, &hi)) {
+  bool is_valid = begin_order(request, &use, false, &order);
+  if (is_valid)
+    find_ends(&use, &order, &lo, &hi);
+  is_valid = is_valid && mo_atlas_query_voxels(request, &use, &n_voxels) &&
+             mo_atlas_query_range(request, &lo, &hi);
+  if (is_valid) {
     divide(lo, hi, (uint32_t)bins, edges);
     mo_text_object(&text);
     mo_atlas_member_floats(&text, "edges", edges, (size_t)bins + 1);
-    write_counts(&text, &use, n_voxels > 0 ? n_voxels : 1,
+    write_counts(&text, &use, order.index, n_voxels > 0 ? n_voxels : 1,
                  n_voxels > 0 ? n_voxels : mo_atlas_source_of(use.atlas)->scope.voxels_max, edges,
                  (uint32_t)bins);
     mo_text_add(&text, "}");
     mo_reply_text(request, MO_OK, &text, "histogram");
   }
+  mo_atlas_index_free(order.own);
   mo_atlas_done(request, &use);
 }
 

@@ -6,6 +6,7 @@
 
 #include "base/words.h"
 #include "rollout/physics.h"
+#include "store/select_by.h"
 
 #define PREFIX "morpho-12-" /* of the sets of the suite's tasks */
 
@@ -38,6 +39,7 @@ static const struct mo_field rows[] = {
     {"orientations", MO_FIELD_WORD, 0, AT(request.orientations),
      .words = mo_atlas_orientation_words, .unit = "",
      .help = "whether a score is the mean over a body's images, or that of its canonical form"},
+    {"measures", MO_FIELD_OWN, 0, AT(request.measures), .own = &mo_measures_field},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
 };
 #undef AT

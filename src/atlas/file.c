@@ -41,6 +41,7 @@ static bool is_sound(const struct mo_atlas_head *head, uint64_t file_bytes)
   if (mo_atlas_scope_check(&scope, NULL) != MO_OK || head->orientations > MO_ATLAS_IMAGES ||
       head->n_environments < 1 || head->n_environments > MO_ATLAS_ENVIRONMENTS_MAX ||
       head->block_bodies != MO_ATLAS_BLOCK || head->environments_bytes % 8 != 0 ||
+      (head->version == MO_ATLAS_MEASURED) != (mo_atlas_head_measures(head) != 0) ||
       memchr(head->fingerprint, '\0', sizeof(head->fingerprint)) == NULL)
     return false;
   for (uint32_t i = 0; i < MO_ATLAS_VOXELS_MAX; i++) {
@@ -63,15 +64,18 @@ int mo_atlas_head_check(const struct mo_atlas_head *head, uint64_t file_bytes,
   if (head->byte_order != MO_ATLAS_ORDER)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
                    "the atlas file has another byte order: write it on a little-endian machine");
-  if (head->version != MO_ATLAS_VERSION)
+  if (head->version < MO_ATLAS_VERSION || head->version > MO_ATLAS_MEASURED)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
-                   "the atlas file has version %u, and this program reads version %d: use the "
-                   "program that wrote it, or write the atlas again",
-                   head->version, MO_ATLAS_VERSION);
-  if (head->checksum !=
-          mo_form_hash((const uint8_t *)head, offsetof(struct mo_atlas_head, checksum)) ||
+                   "the atlas file has version %u, and this program reads versions %d and %d: use "
+                   "the program that wrote it, or write the atlas again",
+                   head->version, MO_ATLAS_VERSION, MO_ATLAS_MEASURED);
+  if (head->end[head->version == MO_ATLAS_MEASURED] != mo_atlas_head_hash(head) ||
       !is_sound(head, file_bytes))
     return mo_fail(message, MO_ERR_CORRUPT, "the head of the atlas file is damaged: " REMEDY);
+  if (mo_atlas_head_measures(head) > MO_MEASURES_ALL)
+    return mo_fail(message, MO_ERR_UNSUPPORTED,
+                   "the atlas file has measures that this program does not know: use the program "
+                   "that wrote it");
   mo_atlas_layout_fill(head, &layout);
   if (layout.begins[MO_ATLAS_VOXELS_MAX] != file_bytes)
     return mo_fail(
@@ -91,7 +95,7 @@ static int read_environments(int fd, const struct mo_atlas_head *head, struct mo
   struct mo_sha256 hash;
   if (bytes == NULL)
     return MO_ERR_NO_MEMORY;
-  int error = mo_file_read_at(fd, sizeof(*head), head->environments_bytes, bytes);
+  int error = mo_file_read_at(fd, mo_atlas_head_bytes(head), head->environments_bytes, bytes);
   if (error == MO_OK) {
     mo_sha256_of(bytes, head->environments_bytes, &hash);
     error = mo_sha256_equal(&hash, &head->environments)
@@ -107,8 +111,7 @@ static int read_environments(int fd, const struct mo_atlas_head *head, struct mo
 static int read_blocks(int fd, struct mo_atlas *atlas)
 {
   const uint64_t n = atlas->layout.blocks[MO_ATLAS_VOXELS_MAX];
-  const size_t most = mo_atlas_checksum_at(MO_ATLAS_BLOCK, atlas->layout.n_environments) + 8;
-  uint8_t *bytes = malloc(most);
+  uint8_t *bytes = malloc(mo_atlas_block_bytes(&atlas->layout, MO_ATLAS_BLOCK));
   uint64_t last = 0;
   int error = MO_OK;
   atlas->blocks = calloc(n, sizeof(*atlas->blocks));
@@ -120,8 +123,7 @@ static int read_blocks(int fd, struct mo_atlas *atlas)
     const bool has_last = block.position > atlas->layout.firsts[block.n_voxels - 1];
     error = mo_file_read_at(fd, block.begin, block.bytes, bytes);
     if (error == MO_OK)
-      error = mo_atlas_block_check(&block, atlas->layout.n_environments, &atlas->sets, bytes,
-                                   has_last, &last);
+      error = mo_atlas_block_check(&atlas->layout, &block, &atlas->sets, bytes, has_last, &last);
     if (error == MO_OK) {
       atlas->blocks[i] = block;
       memcpy(&atlas->first_keys[i], bytes + sizeof(struct mo_atlas_block_head), sizeof(uint64_t));
@@ -145,8 +147,10 @@ static int read_all(int fd, struct mo_atlas *atlas, struct mo_message *message)
   error = mo_atlas_head_check(&head, atlas->bytes, message);
   if (error != MO_OK)
     return error;
-  atlas->source = (struct mo_atlas_source){
-      .scope = scope_of(&head), .orientations = (enum mo_atlas_orientations)head.orientations};
+  atlas->source =
+      (struct mo_atlas_source){.scope = scope_of(&head),
+                               .orientations = (enum mo_atlas_orientations)head.orientations,
+                               .measures = (uint32_t)mo_atlas_head_measures(&head)};
   memcpy(atlas->source.controller_sha256, head.controller.bytes, sizeof(head.controller.bytes));
   memcpy(atlas->source.physics_sha256, head.physics.bytes, sizeof(head.physics.bytes));
   memcpy(atlas->source.fingerprint, head.fingerprint, sizeof(head.fingerprint));
@@ -221,14 +225,15 @@ int mo_atlas_is_of(const struct mo_atlas *atlas, const struct mo_atlas_source *s
     return error;
   mo_sha256_of(bytes, size, &hash);
   free(bytes);
-  *is_of = mo_workspace_equal(own->scope.workspace, source->scope.workspace) &&
-           own->scope.voxels_max == source->scope.voxels_max &&
-           own->orientations == source->orientations && atlas->layout.n_environments == n &&
-           mo_sha256_equal(&hash, &atlas->environments_sha256) &&
-           memcmp(own->controller_sha256, source->controller_sha256,
-                  sizeof(own->controller_sha256)) == 0 &&
-           memcmp(own->physics_sha256, source->physics_sha256, sizeof(own->physics_sha256)) == 0 &&
-           strcmp(own->fingerprint, source->fingerprint) == 0;
+  *is_of =
+      mo_workspace_equal(own->scope.workspace, source->scope.workspace) &&
+      own->scope.voxels_max == source->scope.voxels_max &&
+      own->orientations == source->orientations && own->measures == source->measures &&
+      atlas->layout.n_environments == n && mo_sha256_equal(&hash, &atlas->environments_sha256) &&
+      memcmp(own->controller_sha256, source->controller_sha256, sizeof(own->controller_sha256)) ==
+          0 &&
+      memcmp(own->physics_sha256, source->physics_sha256, sizeof(own->physics_sha256)) == 0 &&
+      strcmp(own->fingerprint, source->fingerprint) == 0;
   return MO_OK;
 }
 
@@ -316,6 +321,21 @@ void mo_atlas_losses(const struct mo_atlas *atlas, uint64_t position, float *los
     memcpy(&packed, from + 2 * (size_t)e, sizeof(packed));
     losses[e] = mo_atlas_unpack_loss(packed);
   }
+}
+
+const float *mo_atlas_column(const struct mo_atlas *atlas, const struct mo_atlas_block *block,
+                             uint32_t column)
+{
+  return (const float *)(const void *)(atlas->mapped + block->begin +
+                                       mo_atlas_measures_at(&atlas->layout, block->n)) +
+         (size_t)column * block->n;
+}
+
+float mo_atlas_in_column(const struct mo_atlas *atlas, uint64_t position, uint32_t column)
+{
+  uint32_t i;
+  const struct mo_atlas_block *block = block_at(atlas, position, &i);
+  return mo_atlas_column(atlas, block, column)[i];
 }
 
 /* ---- finding ---- */

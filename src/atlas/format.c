@@ -11,26 +11,28 @@
 
 /* ---- layout ---- */
 
-static size_t block_bytes(uint32_t n, uint32_t n_environments)
+uint64_t mo_atlas_head_hash(const struct mo_atlas_head *head)
 {
-  return mo_atlas_checksum_at(n, n_environments) + sizeof(uint64_t);
+  return mo_form_hash((const uint8_t *)head, mo_atlas_head_bytes(head) - sizeof(uint64_t));
 }
 
 void mo_atlas_layout_fill(const struct mo_atlas_head *head, struct mo_atlas_layout *layout)
 {
-  const uint32_t n_environments = head->n_environments;
-  *layout =
-      (struct mo_atlas_layout){.n_environments = n_environments, .voxels_max = head->voxels_max};
-  layout->begins[0] = sizeof(*head) + head->environments_bytes;
+  *layout = (struct mo_atlas_layout){
+      .n_environments = head->n_environments,
+      .n_measures = (uint32_t)__builtin_popcountll(mo_atlas_head_measures(head)),
+      .voxels_max = head->voxels_max};
+  layout->begins[0] = mo_atlas_head_bytes(head) + head->environments_bytes;
   for (uint32_t i = 0; i < MO_ATLAS_VOXELS_MAX; i++) {
     const uint64_t count = head->counts[i], whole = count / MO_ATLAS_BLOCK;
     const uint32_t rest = (uint32_t)(count % MO_ATLAS_BLOCK);
     layout->counts[i] = count;
     layout->firsts[i + 1] = layout->firsts[i] + count;
     layout->blocks[i + 1] = layout->blocks[i] + whole + (rest > 0);
-    layout->begins[i + 1] = layout->begins[i] + whole * block_bytes(MO_ATLAS_BLOCK, n_environments);
+    layout->begins[i + 1] =
+        layout->begins[i] + whole * mo_atlas_block_bytes(layout, MO_ATLAS_BLOCK);
     if (rest > 0)
-      layout->begins[i + 1] += block_bytes(rest, n_environments);
+      layout->begins[i + 1] += mo_atlas_block_bytes(layout, rest);
   }
 }
 
@@ -45,8 +47,8 @@ struct mo_atlas_block mo_atlas_block_of(const struct mo_atlas_layout *layout, ui
                                  .n = left < MO_ATLAS_BLOCK ? (uint32_t)left : MO_ATLAS_BLOCK,
                                  .position = layout->firsts[size] + before};
   block.begin = layout->begins[size] +
-                (i - layout->blocks[size]) * block_bytes(MO_ATLAS_BLOCK, layout->n_environments);
-  block.bytes = block_bytes(block.n, layout->n_environments);
+                (i - layout->blocks[size]) * mo_atlas_block_bytes(layout, MO_ATLAS_BLOCK);
+  block.bytes = mo_atlas_block_bytes(layout, block.n);
   return block;
 }
 
@@ -143,7 +145,8 @@ int mo_atlas_environments_unpack(const uint8_t *bytes, size_t size, uint32_t n,
 
 /* ---- blocks ---- */
 
-static bool has_nan(const uint8_t *bytes, uint32_t n, uint32_t n_environments)
+/* Returns whether a block has numbers that cannot be. */
+static bool has_wrong(const struct mo_atlas_layout *layout, const uint8_t *bytes, uint32_t n)
 {
   for (uint32_t i = 0; i < n; i++) {
     float score;
@@ -151,27 +154,33 @@ static bool has_nan(const uint8_t *bytes, uint32_t n, uint32_t n_environments)
     if (isnan(score))
       return true;
   }
-  for (size_t i = 0; i < (size_t)n * n_environments; i++) {
+  for (size_t i = 0; i < (size_t)n * layout->n_environments; i++) {
     uint16_t loss;
     memcpy(&loss, bytes + mo_atlas_losses_at(n) + 2 * i, sizeof(loss));
     if (mo_atlas_loss_is_nan(loss))
       return true;
   }
+  for (size_t i = 0; i < (size_t)n * layout->n_measures; i++) {
+    uint32_t measure;
+    memcpy(&measure, bytes + mo_atlas_measures_at(layout, n) + 4 * i, sizeof(measure));
+    if ((measure & 0x7f800000) == 0x7f800000 && measure != MO_ATLAS_NO_VALUE)
+      return true;
+  }
   return false;
 }
 
-int mo_atlas_block_check(const struct mo_atlas_block *block, uint32_t n_environments,
+int mo_atlas_block_check(const struct mo_atlas_layout *layout, const struct mo_atlas_block *block,
                          const struct mo_atlas_sets *sets, const uint8_t *bytes, bool has_last,
                          uint64_t *last)
 {
   const uint64_t end = sets->of[sets->voxels][block->n_voxels];
-  const size_t checked = mo_atlas_checksum_at(block->n, n_environments);
+  const size_t checked = mo_atlas_checksum_at(layout, block->n);
   struct mo_atlas_block_head head;
   uint64_t checksum, before = *last;
   memcpy(&head, bytes, sizeof(head));
   memcpy(&checksum, bytes + checked, sizeof(checksum));
   if (head.n_voxels != block->n_voxels || head.n != block->n || head.position != block->position ||
-      checksum != mo_form_hash(bytes, checked) || has_nan(bytes, block->n, n_environments))
+      checksum != mo_form_hash(bytes, checked) || has_wrong(layout, bytes, block->n))
     return MO_ERR_CORRUPT;
   for (uint32_t i = 0; i < block->n; i++) {
     uint64_t key;

@@ -1,19 +1,23 @@
 /* format.h: the layout of an atlas file (docs/atlas.md). Numbers are little-endian, as in memory.
  *
  * A file is a head, the environments, and blocks. The head has the number of bodies of each size,
- * from which the place and size of every block follow. */
+ * from which the place and size of every block follow. A file without measures is of version 1, one
+ * with measures of version 2. */
 #ifndef MORPHO_ATLAS_FORMAT_H
 #define MORPHO_ATLAS_FORMAT_H
 
 #include "atlas/key.h"
 #include "base/sha256.h"
 
+#include <morpho/measure.h>
+
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "files are little-endian");
 
-#define MO_ATLAS_MAGIC   "morphod atlas\r\n"
-#define MO_ATLAS_VERSION 1
-#define MO_ATLAS_ORDER   UINT32_C(0x01020304)
-#define MO_ATLAS_BLOCK   4096 /* bodies of a block; the last block of a size may have fewer */
+#define MO_ATLAS_MAGIC    "morphod atlas\r\n"
+#define MO_ATLAS_VERSION  1
+#define MO_ATLAS_MEASURED 2 /* the version of files with measures */
+#define MO_ATLAS_ORDER    UINT32_C(0x01020304)
+#define MO_ATLAS_BLOCK    4096 /* bodies of a block; the last block of a size may have fewer */
 
 struct mo_atlas_head {
   char magic[16];
@@ -25,10 +29,29 @@ struct mo_atlas_head {
   struct mo_sha256 controller, physics;
   struct mo_sha256 environments; /* of their bytes in the file */
   char fingerprint[MO_ATLAS_FINGERPRINT];
-  uint64_t checksum; /* of the head before this member */
+  uint64_t end[2]; /* version 1: the checksum of the head before this member, and nothing more;
+                      version 2: the measures, bit k for measure k of enum mo_measure, and the
+                      checksum of all before it */
 };
 _Static_assert(sizeof(struct mo_atlas_head) % 8 == 0, "no padding, and blocks are aligned");
 _Static_assert(MO_ATLAS_VOXELS_MAX == 10, "another number of counts needs another version");
+
+/* Returns the bytes of a head in the file. */
+static inline size_t mo_atlas_head_bytes(const struct mo_atlas_head *head)
+{
+  return sizeof(*head) - (head->version < MO_ATLAS_MEASURED ? sizeof(head->end[1]) : 0);
+}
+static inline uint64_t mo_atlas_head_measures(const struct mo_atlas_head *head)
+{
+  return head->version < MO_ATLAS_MEASURED ? 0 : head->end[0];
+}
+/* Returns where a head has its checksum. */
+static inline uint64_t *mo_atlas_head_checksum(struct mo_atlas_head *head)
+{
+  return &head->end[head->version < MO_ATLAS_MEASURED ? 0 : 1];
+}
+/* Computes the checksum of a head. */
+uint64_t mo_atlas_head_hash(const struct mo_atlas_head *head);
 
 /* Before each environment: the version and size of its packed form (world/environment.h), which
  * follows, with zeros up to a multiple of 8. */
@@ -37,7 +60,9 @@ struct mo_atlas_environment_head {
 };
 
 /* A block: this, then (n) keys of uint64_t, (n) scores of float, (n, n_environments) losses of
- * uint16_t (losses.h), each with zeros up to a multiple of 8, and the checksum of all that. */
+ * uint16_t (losses.h), (n_measures, n) measures of float, each with zeros up to a multiple of 8,
+ * and the checksum of all that. A measure without a value is MO_ATLAS_NO_VALUE. */
+#define MO_ATLAS_NO_VALUE UINT32_C(0x7fc00000) /* the bits of a NaN */
 struct mo_atlas_block_head {
   uint32_t n_voxels, n;
   uint64_t position; /* of the first body */
@@ -45,7 +70,7 @@ struct mo_atlas_block_head {
 
 /* Where things are in a file. */
 struct mo_atlas_layout {
-  uint32_t n_environments, voxels_max;
+  uint32_t n_environments, n_measures, voxels_max;
   uint64_t counts[MO_ATLAS_VOXELS_MAX];
   uint64_t firsts[MO_ATLAS_VOXELS_MAX + 1]; /* position of the first body of a size; of the end */
   uint64_t blocks[MO_ATLAS_VOXELS_MAX + 1]; /* index of the first block of a size; of the end */
@@ -70,9 +95,17 @@ static inline size_t mo_atlas_losses_at(uint32_t n)
 {
   return mo_atlas_scores_at(n) + (4 * (size_t)n + 7) / 8 * 8;
 }
-static inline size_t mo_atlas_checksum_at(uint32_t n, uint32_t n_environments)
+static inline size_t mo_atlas_measures_at(const struct mo_atlas_layout *layout, uint32_t n)
 {
-  return mo_atlas_losses_at(n) + (2 * (size_t)n * n_environments + 7) / 8 * 8;
+  return mo_atlas_losses_at(n) + (2 * (size_t)n * layout->n_environments + 7) / 8 * 8;
+}
+static inline size_t mo_atlas_checksum_at(const struct mo_atlas_layout *layout, uint32_t n)
+{
+  return mo_atlas_measures_at(layout, n) + (4 * (size_t)n * layout->n_measures + 7) / 8 * 8;
+}
+static inline size_t mo_atlas_block_bytes(const struct mo_atlas_layout *layout, uint32_t n)
+{
+  return mo_atlas_checksum_at(layout, n) + sizeof(uint64_t);
 }
 
 /* The bytes of environments in a file (malloc). MO_ERR_NO_MEMORY. */
@@ -84,9 +117,9 @@ int mo_atlas_environments_unpack(const uint8_t *bytes, size_t size, uint32_t n,
                                  struct mo_environment **environments);
 
 /* Checks the bytes of a block: its head, its checksum, keys that ascend from above *last (which
- * becomes the last key; *has_last: whether there is one), and numbers that are not NaN.
- * MO_ERR_CORRUPT. */
-int mo_atlas_block_check(const struct mo_atlas_block *block, uint32_t n_environments,
+ * becomes the last key; *has_last: whether there is one), scores and losses that are not NaN, and
+ * measures that are finite or without a value. MO_ERR_CORRUPT. */
+int mo_atlas_block_check(const struct mo_atlas_layout *layout, const struct mo_atlas_block *block,
                          const struct mo_atlas_sets *sets, const uint8_t *bytes, bool has_last,
                          uint64_t *last);
 

@@ -4,15 +4,27 @@
 #include "atlas/neighbors.h"
 #include "base/memory.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #define DIGITS (UINT32_C(1) << 16)
 
-/* Returns a number that is ordered like a score, which is not NaN. −0 and 0 are one score. */
+/* Returns what bodies are sorted by: the score, or a measure, which may be NaN. */
+static float value_at(const struct mo_atlas_index *index, uint64_t position)
+{
+  if (index->column < 0)
+    return mo_atlas_score(index->atlas, position);
+  const float value = mo_atlas_in_column(index->atlas, position, (uint32_t)index->column);
+  return index->is_negative ? -value : value;
+}
+
+/* Returns a number that is ordered like a score. −0 and 0 are one score; NaN is the highest. */
 static uint32_t order_of(float score)
 {
   uint32_t bits;
+  if (isnan(score))
+    return UINT32_MAX;
   score = score == 0 ? 0 : score;
   memcpy(&bits, &score, sizeof(bits));
   return bits >> 31 != 0 ? ~bits : bits | UINT32_C(1) << 31;
@@ -39,7 +51,7 @@ static int sort_all(struct mo_atlas_index *index)
   uint16_t *higher = mo_pages_alloc(index->n, sizeof(*higher));
   const int error = low != NULL && higher != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   for (uint64_t i = 0; error == MO_OK && i < index->n; i++) {
-    const uint32_t order = order_of(mo_atlas_score(index->atlas, i));
+    const uint32_t order = order_of(value_at(index, i));
     low[order % DIGITS]++;
     high[order / DIGITS]++;
   }
@@ -48,7 +60,7 @@ static int sort_all(struct mo_atlas_index *index)
     place_digits(high);
   }
   for (uint64_t i = 0; error == MO_OK && i < index->n; i++) {
-    const uint32_t order = order_of(mo_atlas_score(index->atlas, i));
+    const uint32_t order = order_of(value_at(index, i));
     const uint32_t at = low[order % DIGITS]++;
     index->by_size[at] = (uint32_t)i;
     higher[at] = (uint16_t)(order / DIGITS);
@@ -73,12 +85,15 @@ static void divide_by_size(struct mo_atlas_index *index)
   }
 }
 
-int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **index)
+static int create(const struct mo_atlas *atlas, int column, bool is_negative,
+                  struct mo_atlas_index **index)
 {
   struct mo_atlas_index *made = calloc(1, sizeof(*made));
   if (made == NULL)
     return MO_ERR_NO_MEMORY;
   made->atlas = atlas;
+  made->column = column;
+  made->is_negative = is_negative;
   made->n = mo_atlas_bodies_of(atlas);
   made->all = mo_pages_alloc(made->n, sizeof(*made->all));
   made->by_size = mo_pages_alloc(made->n, sizeof(*made->by_size));
@@ -92,6 +107,18 @@ int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **
   divide_by_size(made);
   *index = made;
   return MO_OK;
+}
+
+int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **index)
+{
+  return create(atlas, -1, false, index);
+}
+
+int mo_atlas_index_create_by(const struct mo_atlas *atlas, enum mo_measure measure,
+                             bool is_negative, struct mo_atlas_index **index)
+{
+  const int column = mo_atlas_column_of(atlas, measure);
+  return column >= 0 ? create(atlas, column, is_negative, index) : MO_ERR_NOT_FOUND;
 }
 
 void mo_atlas_index_free(struct mo_atlas_index *index)
@@ -124,7 +151,7 @@ static uint64_t count(const struct mo_atlas_index *index, const uint32_t *positi
   uint64_t low = 0, high = n;
   while (low < high) {
     const uint64_t middle = low + (high - low) / 2;
-    const float there = mo_atlas_score(index->atlas, positions[middle]);
+    const float there = value_at(index, positions[middle]);
     if (there < score || (or_equal && there == score))
       low = middle + 1;
     else
@@ -139,7 +166,7 @@ struct mo_atlas_rank mo_atlas_rank_of(const struct mo_atlas_index *index, uint64
   uint64_t key, n;
   const uint32_t n_voxels = within_size ? mo_atlas_key_at(index->atlas, position, &key) : 0;
   const uint32_t *positions = sorted(index, n_voxels, &n);
-  const float score = mo_atlas_score(index->atlas, position);
+  const float score = value_at(index, position);
   const uint64_t better = count(index, positions, n, score, false);
   const uint64_t up_to = count(index, positions, n, score, true);
   struct mo_atlas_rank rank = {

@@ -91,7 +91,7 @@ static int write_block(struct mo_atlas_writer *writer, const struct mo_atlas_blo
 {
   const struct mo_atlas_block_head head = {
       .n_voxels = block->n_voxels, .n = block->n, .position = block->position};
-  const size_t checked = mo_atlas_checksum_at(block->n, writer->layout.n_environments);
+  const size_t checked = mo_atlas_checksum_at(&writer->layout, block->n);
   memcpy(bytes, &head, sizeof(head));
   const uint64_t checksum = mo_form_hash(bytes, checked);
   memcpy(bytes + checked, &checksum, sizeof(checksum));
@@ -107,7 +107,7 @@ static struct mo_atlas_block some_of(const struct mo_atlas_writer *writer,
 {
   struct mo_atlas_block some = *block;
   some.n = n;
-  some.bytes = mo_atlas_checksum_at(n, writer->layout.n_environments) + sizeof(uint64_t);
+  some.bytes = mo_atlas_block_bytes(&writer->layout, n);
   return some;
 }
 
@@ -120,6 +120,9 @@ static void copy_bodies(const struct mo_atlas_writer *writer, uint32_t n, const 
   memcpy(to + mo_atlas_scores_at(to_n), from + mo_atlas_scores_at(from_n), 4 * (size_t)n);
   memcpy(to + mo_atlas_losses_at(to_n), from + mo_atlas_losses_at(from_n),
          2 * (size_t)n * writer->layout.n_environments);
+  for (size_t m = 0; m < writer->layout.n_measures; m++)
+    memcpy(to + mo_atlas_measures_at(&writer->layout, to_n) + 4 * m * to_n,
+           from + mo_atlas_measures_at(&writer->layout, from_n) + 4 * m * from_n, 4 * (size_t)n);
 }
 
 int mo_atlas_writer_save(struct mo_atlas_writer *writer)
@@ -141,9 +144,22 @@ int mo_atlas_writer_save(struct mo_atlas_writer *writer)
   return error;
 }
 
+static void put_measures(struct mo_atlas_writer *writer, const struct mo_atlas_block *block,
+                         const double *measures)
+{
+  uint8_t *to = writer->bytes + mo_atlas_measures_at(&writer->layout, block->n);
+  for (size_t m = 0; m < writer->layout.n_measures; m++) {
+    const float value = (float)measures[m];
+    uint32_t bits = MO_ATLAS_NO_VALUE;
+    if (!isnan(value))
+      memcpy(&bits, &value, sizeof(bits));
+    memcpy(to + 4 * (m * block->n + writer->filled), &bits, sizeof(bits));
+  }
+}
+
 /* Puts a body into the block that is being filled. */
 static void put(struct mo_atlas_writer *writer, const struct mo_atlas_block *block,
-                const double *losses)
+                const double *losses, const double *measures)
 {
   const uint32_t n_environments = writer->layout.n_environments;
   const size_t i = writer->filled;
@@ -160,6 +176,7 @@ static void put(struct mo_atlas_writer *writer, const struct mo_atlas_block *blo
   memcpy(writer->bytes + sizeof(struct mo_atlas_block_head) + 8 * i, &writer->next_key,
          sizeof(writer->next_key));
   memcpy(writer->bytes + mo_atlas_scores_at(block->n) + 4 * i, &score, sizeof(score));
+  put_measures(writer, block, measures);
 }
 
 /* Reads the key of the next body, if there is one. */
@@ -173,10 +190,25 @@ static int look_ahead(struct mo_atlas_writer *writer)
   return error;
 }
 
-int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses)
+/* Returns whether losses and measures can be stored. */
+static bool are_storable(const struct mo_atlas_layout *layout, const double *losses,
+                         const double *measures)
+{
+  double sum = 0;
+  for (uint32_t e = 0; e < layout->n_environments; e++)
+    sum += losses[e];
+  if (isnan(sum) || isinf(sum) < 0 || isnan((float)sum)) /* −infinity, or both infinities */
+    return false;
+  for (uint32_t m = 0; m < layout->n_measures; m++)
+    if (isinf((float)measures[m]))
+      return false;
+  return true;
+}
+
+int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses,
+                        const double *measures)
 {
   uint32_t voxels[MO_ATLAS_VOXELS_MAX];
-  double sum = 0;
   if (writer->error == MO_OK && !writer->knows_next) {
     const int error = look_ahead(writer);
     if (error != MO_OK)
@@ -190,11 +222,9 @@ int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, co
   if (mo_atlas_voxels_of(writer->scope.workspace, form, voxels) != block.n_voxels ||
       mo_atlas_key_of(&writer->sets, voxels, block.n_voxels) != writer->next_key)
     return MO_ERR_CONFLICT;
-  for (uint32_t e = 0; e < writer->layout.n_environments; e++)
-    sum += losses[e];
-  if (isnan(sum) || isinf(sum) < 0 || isnan((float)sum)) /* −infinity, or both infinities */
+  if (!are_storable(&writer->layout, losses, measures))
     return MO_ERR_INVALID;
-  put(writer, &block, losses);
+  put(writer, &block, losses, measures);
   if (writer->filled + 1 == block.n) {
     const int error = write_block(writer, &block, writer->bytes);
     if (error != MO_OK) {
@@ -282,9 +312,9 @@ static size_t take_saved(struct mo_atlas_writer *writer, uint64_t end, uint64_t 
   if (is_whole)
     memcpy(&head, bytes, sizeof(head));
   const struct mo_atlas_block some = some_of(writer, &block, head.n);
-  is_whole = is_whole && head.n > 0 && head.n < block.n && some.bytes == left &&
-             mo_atlas_block_check(&some, writer->layout.n_environments, &writer->sets, bytes,
-                                  has_last, last) == MO_OK;
+  is_whole =
+      is_whole && head.n > 0 && head.n < block.n && some.bytes == left &&
+      mo_atlas_block_check(&writer->layout, &some, &writer->sets, bytes, has_last, last) == MO_OK;
   if (is_whole) {
     memset(writer->bytes, 0, block.bytes);
     copy_bodies(writer, some.n, bytes, some.n, writer->bytes, block.n);
@@ -310,8 +340,8 @@ static int pass_blocks(struct mo_atlas_writer *writer, uint64_t file_bytes)
     const int error = mo_file_read_at(writer->fd, block.begin, block.bytes, writer->bytes);
     if (error != MO_OK)
       return error == MO_ERR_CORRUPT ? MO_ERR_IO : error;
-    if (mo_atlas_block_check(&block, writer->layout.n_environments, &writer->sets, writer->bytes,
-                             has_last, &last) != MO_OK)
+    if (mo_atlas_block_check(&writer->layout, &block, &writer->sets, writer->bytes, has_last,
+                             &last) != MO_OK)
       break;
     end = block.begin + block.bytes;
     writer->position = block.position + block.n;
@@ -385,6 +415,9 @@ static int check(const struct mo_atlas_source *source, const struct mo_environme
     return error;
   if (source->orientations != MO_ATLAS_CANONICAL && source->orientations != MO_ATLAS_IMAGES)
     return mo_fail(message, MO_ERR_INVALID, "orientations must be canonical or images");
+  if (source->measures > MO_MEASURES_ALL)
+    return mo_fail(message, MO_ERR_INVALID, "there are %d measures, as bits of enum mo_measure",
+                   MO_MEASURES);
   if (memchr(source->fingerprint, '\0', sizeof(source->fingerprint)) == NULL)
     return mo_fail(message, MO_ERR_INVALID, "the fingerprint must have at most %d characters",
                    MO_ATLAS_FINGERPRINT - 1);
@@ -406,7 +439,7 @@ static int make_beginning(struct mo_atlas_writer *writer, const struct mo_atlas_
   struct mo_atlas_head head = {
       .magic = MO_ATLAS_MAGIC,
       .byte_order = MO_ATLAS_ORDER,
-      .version = MO_ATLAS_VERSION,
+      .version = source->measures != 0 ? MO_ATLAS_MEASURED : MO_ATLAS_VERSION,
       .sides = {source->scope.workspace.nx, source->scope.workspace.ny, source->scope.workspace.nz},
       .voxels_max = source->scope.voxels_max,
       .orientations = (uint32_t)source->orientations,
@@ -424,16 +457,17 @@ static int make_beginning(struct mo_atlas_writer *writer, const struct mo_atlas_
   memcpy(head.fingerprint, source->fingerprint, strlen(source->fingerprint));
   head.environments_bytes = (uint32_t)size;
   mo_sha256_of(packed, size, &head.environments);
-  head.checksum = mo_form_hash((const uint8_t *)&head, offsetof(struct mo_atlas_head, checksum));
+  head.end[0] = source->measures;
+  *mo_atlas_head_checksum(&head) = mo_atlas_head_hash(&head);
   mo_atlas_layout_fill(&head, &writer->layout);
-  writer->beginning_bytes = sizeof(head) + size;
+  writer->beginning_bytes = mo_atlas_head_bytes(&head) + size;
   writer->beginning = malloc(writer->beginning_bytes);
-  writer->bytes = malloc(mo_atlas_checksum_at(MO_ATLAS_BLOCK, n) + sizeof(uint64_t));
+  writer->bytes = malloc(mo_atlas_block_bytes(&writer->layout, MO_ATLAS_BLOCK));
   if (writer->beginning == NULL || writer->bytes == NULL) {
     error = MO_ERR_NO_MEMORY;
   } else {
-    memcpy(writer->beginning, &head, sizeof(head));
-    memcpy(writer->beginning + sizeof(head), packed, size);
+    memcpy(writer->beginning, &head, writer->beginning_bytes - size);
+    memcpy(writer->beginning + writer->beginning_bytes - size, packed, size);
   }
   free(packed);
   return error;

@@ -31,11 +31,14 @@
 #define WAVE_MAX     131072
 #define ROLLOUTS_MAX 1310720 /* of a wave, if it has more than WAVE_LEAST designs */
 #define WAVE_LEAST   2048
+#define VALUES_BYTES                                                                               \
+  (UINT64_C(64) << 20) /* of its measures, if it has more than WAVE_LEAST designs */
 /* Measured, and rounded up: of two streams of bodies, and of the writer. */
 #define TEN_VOXELS_BYTES  (UINT64_C(40) << 20)
 #define NINE_VOXELS_BYTES (UINT64_C(8) << 20)
 #define LESS_BYTES        (UINT64_C(2) << 20)
 #define FLIGHT_BYTES      1024
+#define MEASURED_BYTES    (MO_BLOCK_LANES * sizeof(double[MO_MEASURES])) /* more of a flight */
 
 struct run {
   struct mo_runner *runner;
@@ -61,25 +64,30 @@ struct run {
 /* ---- the size of waves ---- */
 
 static uint32_t wave_designs(const struct mo_jobs *jobs, enum mo_back_end back_end,
-                             uint32_t n_environments)
+                             uint32_t n_environments, uint32_t n_measures)
 {
+  const uint64_t values_bytes = sizeof(double) * (uint64_t)n_environments * n_measures;
   const uint64_t windows = (uint64_t)WINDOWS * mo_back_end_window(jobs, back_end);
   uint64_t most = windows < WAVE_MIN ? WAVE_MIN : windows > WAVE_MAX ? WAVE_MAX : windows;
   if (most * n_environments > ROLLOUTS_MAX)
     most = ROLLOUTS_MAX / n_environments;
+  if (most * values_bytes > VALUES_BYTES)
+    most = VALUES_BYTES / values_bytes;
   return most > WAVE_LEAST ? (uint32_t)most : WAVE_LEAST;
 }
 
 static struct mo_need estimate(const struct mo_jobs *jobs, uint32_t voxels, uint32_t n_environments,
-                               enum mo_back_end back_end)
+                               uint32_t measures, enum mo_back_end back_end)
 {
-  const uint32_t most = wave_designs(jobs, back_end, n_environments);
+  const uint32_t n_measures = (uint32_t)__builtin_popcount(measures);
+  const uint32_t most = wave_designs(jobs, back_end, n_environments, n_measures);
   const uint64_t of_bodies = voxels > 9   ? TEN_VOXELS_BYTES
                              : voxels > 8 ? NINE_VOXELS_BYTES
                                           : LESS_BYTES;
-  return (struct mo_need){.own = of_bodies + mo_atlas_wave_bytes(most, n_environments) +
+  return (struct mo_need){.own = of_bodies + mo_atlas_wave_bytes(most, n_environments, n_measures) +
                                  (uint64_t)most * (n_environments + 1) +
-                                 (uint64_t)mo_back_end_window(jobs, back_end) * FLIGHT_BYTES};
+                                 (uint64_t)mo_back_end_window(jobs, back_end) *
+                                     (FLIGHT_BYTES + (measures != 0 ? MEASURED_BYTES : 0))};
 }
 
 /* ---- live figures ---- */
@@ -183,11 +191,11 @@ static int open_writer(void *context)
 static int add_done(struct run *run)
 {
   const struct mo_atlas_wave *wave = &run->wave;
-  double losses[MO_ATLAS_ENVIRONMENTS_MAX];
+  double losses[MO_ATLAS_ENVIRONMENTS_MAX], measures[MO_MEASURES];
   int error = MO_OK;
   while (run->added < wave->n && wave->left[run->added] == 0 && error == MO_OK) {
-    mo_atlas_wave_mean(wave, run->added, losses);
-    error = mo_atlas_writer_add(run->writer, wave->forms[run->added].words, losses);
+    mo_atlas_wave_mean(wave, run->added, losses, measures);
+    error = mo_atlas_writer_add(run->writer, wave->forms[run->added].words, losses, measures);
     if (error != MO_OK)
       break;
     const uint32_t n = wave->begins[run->added + 1] - wave->begins[run->added];
@@ -250,8 +258,11 @@ static void take(void *context, const struct mo_flight *flight, bool is_done)
   struct mo_atlas_wave *wave = &run->wave;
   const struct mo_block *block = &flight->block;
   double *losses = wave->losses + (size_t)flight->design * run->n_environments;
-  for (uint32_t i = 0; i < block->n_environments; i++)
+  for (uint32_t i = 0; i < block->n_environments; i++) {
     losses[flight->places[i]] = block->outcomes[i].loss;
+    if (wave->measures != 0)
+      mo_atlas_wave_measured(wave, flight->design, flight->places[i], block->measuring->values[i]);
+  }
   atomic_fetch_add(&run->jobs->atlas_rollouts, block->n_environments);
   if (is_done)
     wave->left[wave->bodies[flight->design]]--;
@@ -287,6 +298,7 @@ static int score_wave(struct run *run)
       .take = take,
       .save = save_arrived,
       .n_unsaved = &run->n_unsaved,
+      .measures = run->source.measures != 0,
       .show = show};
   scoring->grid.block.controller = run->ready;
   scoring->grid.block.share = run->runner->share;
@@ -333,7 +345,8 @@ static int describe_source(struct run *run)
   struct mo_sha256 physics;
   mo_physics_hash(&job->physics, job->precision, job->sensor, &physics);
   *source = (struct mo_atlas_source){.scope = {MO_STORE_WORKSPACE, run->status.record.voxels},
-                                     .orientations = run->status.record.orientations};
+                                     .orientations = run->status.record.orientations,
+                                     .measures = run->status.record.measures};
   memcpy(source->controller_sha256, run->status.job.controller_sha256.bytes,
          sizeof(source->controller_sha256));
   memcpy(source->physics_sha256, physics.bytes, sizeof(source->physics_sha256));
@@ -402,11 +415,14 @@ static int prepare(struct run *run)
     error = find_place(run);
   if (error != MO_OK || run->is_complete)
     return error;
+  const uint32_t n_measures = (uint32_t)__builtin_popcount(run->source.measures);
   run->wave = (struct mo_atlas_wave){
       .scope = run->source.scope,
       .orientations = run->source.orientations,
       .n_environments = run->n_environments,
-      .most = wave_designs(run->jobs, run->status.job.back_end, run->n_environments)};
+      .measures = run->source.measures,
+      .n_measures = n_measures,
+      .most = wave_designs(run->jobs, run->status.job.back_end, run->n_environments, n_measures)};
   error = mo_atlas_wave_create(&run->wave);
   if (error == MO_OK)
     error = mo_atlas_bodies_create(&run->source.scope, &run->bodies);
@@ -497,7 +513,7 @@ static int complete(struct mo_jobs *jobs, struct mo_atlas_request *request,
   if (error != MO_OK)
     return error;
   const struct mo_need need = estimate(jobs, request->voxels, request->n_environments,
-                                       (enum mo_back_end)request->job.back_end);
+                                       request->measures, (enum mo_back_end)request->job.back_end);
   return mo_memory_check(jobs, &need, message);
 }
 
@@ -530,7 +546,8 @@ static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
   struct mo_atlas_status status;
   const int error = mo_store_atlas(jobs->store, id, &status);
   if (error == MO_OK)
-    *need = estimate(jobs, status.record.voxels, status.job.n_environments, status.job.back_end);
+    *need = estimate(jobs, status.record.voxels, status.job.n_environments, status.record.measures,
+                     status.job.back_end);
   return error;
 }
 

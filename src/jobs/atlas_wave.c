@@ -3,12 +3,13 @@
 
 #include <stdlib.h>
 
-uint64_t mo_atlas_wave_bytes(uint32_t most, uint32_t n_environments)
+uint64_t mo_atlas_wave_bytes(uint32_t most, uint32_t n_environments, uint32_t n_measures)
 {
   const struct mo_atlas_wave *wave = NULL;
-  return most * (sizeof(*wave->forms) + sizeof(*wave->begins) + sizeof(*wave->left) +
-                 sizeof(*wave->designs) + sizeof(*wave->bodies) +
-                 (uint64_t)n_environments * sizeof(*wave->losses));
+  return most *
+         (sizeof(*wave->forms) + sizeof(*wave->begins) + sizeof(*wave->left) +
+          sizeof(*wave->designs) + sizeof(*wave->bodies) +
+          (uint64_t)n_environments * (sizeof(*wave->losses) + n_measures * sizeof(*wave->values)));
 }
 
 int mo_atlas_wave_create(struct mo_atlas_wave *wave)
@@ -20,8 +21,10 @@ int mo_atlas_wave_create(struct mo_atlas_wave *wave)
   wave->designs = calloc(most, sizeof(*wave->designs));
   wave->bodies = calloc(most, sizeof(*wave->bodies));
   wave->losses = calloc(most * wave->n_environments, sizeof(*wave->losses));
+  wave->values = calloc(most * wave->n_environments * wave->n_measures + 1, sizeof(*wave->values));
   return wave->forms != NULL && wave->begins != NULL && wave->left != NULL &&
-                 wave->designs != NULL && wave->bodies != NULL && wave->losses != NULL
+                 wave->designs != NULL && wave->bodies != NULL && wave->losses != NULL &&
+                 wave->values != NULL
              ? MO_OK
              : MO_ERR_NO_MEMORY;
 }
@@ -34,6 +37,7 @@ void mo_atlas_wave_free(struct mo_atlas_wave *wave)
   free(wave->designs);
   free(wave->bodies);
   free(wave->losses);
+  free(wave->values);
 }
 
 int mo_atlas_wave_fill(struct mo_atlas_wave *wave, struct mo_atlas_bodies *bodies)
@@ -59,9 +63,35 @@ int mo_atlas_wave_fill(struct mo_atlas_wave *wave, struct mo_atlas_bodies *bodie
   return error == MO_ERR_EXHAUSTED ? MO_OK : error;
 }
 
-void mo_atlas_wave_mean(const struct mo_atlas_wave *wave, uint32_t i, double *losses)
+void mo_atlas_wave_measured(struct mo_atlas_wave *wave, uint32_t design, uint32_t environment,
+                            const double values[MO_MEASURES])
+{
+  double *to =
+      wave->values + ((size_t)design * wave->n_environments + environment) * wave->n_measures;
+  for (uint32_t m = 0; m < MO_MEASURES; m++)
+    if (wave->measures >> m & 1)
+      *to++ = values[m];
+}
+
+/* Returns the mean over the environments of the mean over designs of a measure. */
+static double mean_of(const struct mo_atlas_wave *wave, uint32_t begin, uint32_t end, uint32_t m)
+{
+  double all = 0;
+  for (uint32_t e = 0; e < wave->n_environments; e++) {
+    double sum = 0;
+    for (uint32_t k = begin; k < end; k++)
+      sum += wave->values[((size_t)k * wave->n_environments + e) * wave->n_measures + m];
+    all += sum / (end - begin);
+  }
+  return all / wave->n_environments;
+}
+
+void mo_atlas_wave_mean(const struct mo_atlas_wave *wave, uint32_t i, double *losses,
+                        double *measures)
 {
   const uint32_t begin = wave->begins[i], end = wave->begins[i + 1];
+  for (uint32_t m = 0; m < wave->n_measures; m++)
+    measures[m] = mean_of(wave, begin, end, m);
   for (uint32_t e = 0; e < wave->n_environments; e++) {
     double sum = 0;
     for (uint32_t k = begin; k < end; k++)

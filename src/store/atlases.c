@@ -43,7 +43,7 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
 {
   static const char sql[] =
       "INSERT INTO atlases(job,name,voxels,orientations,controller,controller_name,physics,"
-      "environment_set,n_environments) VALUES(?1,?2,?3,?4,?5,?6,?7,nullif(?8,0),?9)";
+      "environment_set,n_environments,measures) VALUES(?1,?2,?3,?4,?5,?6,?7,nullif(?8,0),?9,?10)";
   const struct submission *call = any;
   const struct mo_atlas_request *request = call->request;
   const char *by_name = strncmp(request->controller, "sha256:", 7) == 0 ? "" : request->controller;
@@ -69,7 +69,8 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   if (error == MO_OK)
     error = mo_sql_do(writer, sql, mo_int(*id), mo_string(name), mo_int(request->voxels),
                       mo_int(request->orientations), mo_int(controller), mo_string(by_name),
-                      mo_int(physics_row), mo_int(set), mo_int(n_environments));
+                      mo_int(physics_row), mo_int(set), mo_int(n_environments),
+                      mo_int(request->measures));
   if (error == MO_OK)
     error =
         mo_environments_insert(writer, *id, set, request->environments, (uint32_t)n_environments);

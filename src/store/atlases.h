@@ -21,6 +21,7 @@ struct mo_atlas_record {
   char name[MO_ATLAS_NAME_MAX + 1];
   uint32_t voxels; /* the most */
   enum mo_atlas_orientations orientations;
+  uint32_t measures;                   /* bits; 0: none */
   uint64_t bodies_total;               /* 0: not counted yet, because the job has not started */
   uint64_t bodies_done, rollouts_done; /* that the file has */
 };
@@ -36,7 +37,8 @@ struct mo_atlas_request {
   char name[MO_ATLAS_NAME_MAX + 1]; /* "": a free one is made of the base */
   char base[MO_ATLAS_NAME_MAX + 1]; /* valid, and at most 58 characters */
   uint32_t voxels;
-  int orientations; /* enum mo_atlas_orientations */
+  int orientations;  /* enum mo_atlas_orientations */
+  uint32_t measures; /* bits; 0: none */
   struct mo_physics physics;
   const char *controller;                    /* name or "sha256:<hex>" */
   const char *environment_set;               /* NULL: listed */

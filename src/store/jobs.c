@@ -134,6 +134,7 @@ static int read_atlas(sqlite3_stmt *row, struct mo_job *job, void *any)
 {
   struct mo_atlas_record *record = any;
   const int64_t orientations = sqlite3_column_int64(row, MO_COLUMN_ORIENTATIONS);
+  const int64_t measures = sqlite3_column_int64(row, MO_COLUMN_MEASURES);
   read_environments(row, job);
   mo_column_text(row, MO_COLUMN_NAME, record->name, sizeof(record->name));
   record->voxels = mo_column_u32(row, MO_COLUMN_VOXELS);
@@ -141,8 +142,10 @@ static int read_atlas(sqlite3_stmt *row, struct mo_job *job, void *any)
   record->bodies_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_BODIES_DONE);
   record->rollouts_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_ROLLOUTS_DONE);
   if (orientations < MO_ATLAS_CANONICAL || orientations > MO_ATLAS_IMAGES || record->voxels < 1 ||
-      record->voxels > MO_ATLAS_VOXELS_MAX || !mo_atlas_name_is_valid(record->name))
+      record->voxels > MO_ATLAS_VOXELS_MAX || measures < 0 || measures > MO_MEASURES_ALL ||
+      !mo_atlas_name_is_valid(record->name))
     return MO_ERR_CORRUPT;
+  record->measures = (uint32_t)measures;
   record->orientations = (enum mo_atlas_orientations)orientations;
   return mo_column_physics(row, MO_COLUMN_PHYSICS, &job->physics, &job->precision, &job->sensor);
 }

@@ -38,7 +38,7 @@
   X(N_SKIPPED, "e.n_skipped")                                                                      \
   X(BEST, "e.best")                                                                                \
   X(N_DISPLACED, "e.n_displaced")                                                                  \
-  X(MEASURES, "e.measures")                                                                        \
+  X(MEASURES, "coalesce(e.measures,a.measures)")                                                   \
   X(TOLERANCE, "e.tolerance")                                                                      \
   X(RANDOM_SEED, "e.random_seed")                                                                  \
   X(RANDOM_FIRST, "e.random_first")                                                                \

@@ -17,6 +17,11 @@ WORLDS = [{"task": "walk"}, {"light_xy_m": [4, 2.5], "terrain_sigma_m": 0.05, "s
           {"task": "circle", "terrain": {"kind": "stairs-up"}}]
 REQUEST = {"voxels": 4, "environments": WORLDS, "physics": {"n_steps": 60}}
 COUNTS = [1, 2, 5, 21]
+MEASURES = ["displacement_m", "path_length_m", "mean_speed_m_per_s", "straightness",
+            "heading_error_rad", "sideways_m", "peak_height_m", "mean_height_m", "tilt_rad",
+            "yaw_rate_rad_per_s", "air_share", "contact_front_share", "contact_back_share",
+            "contact_left_share", "contact_right_share", "hops_per_s", "work_j",
+            "cost_of_transport", "peak_strain", "inverted_voxels"]
 ENDED = ("succeeded", "failed", "cancelled")
 
 
@@ -42,11 +47,14 @@ class Atlas:
         assert data[:16] == b"morphod atlas\r\n\0\0"[:16]
         (order, version, *self.sides, self.voxels, self.orientations, self.n, block,
          worlds) = struct.unpack("<10I", data[16:56])
-        assert order == 0x01020304 and version == 1
+        assert order == 0x01020304 and version in (1, 2)
+        head = 304 if version == 1 else 312
+        bits = struct.unpack("<Q", data[296:304])[0] if version == 2 else 0
+        self.names = [name for m, name in enumerate(MEASURES) if bits >> m & 1]
         self.counts = struct.unpack("<10Q", data[56:136])
         self.controller, self.physics = data[136:168].hex(), data[168:200].hex()
         self.fingerprint = data[232:296].rstrip(b"\0").decode()
-        self.scores, self.losses, at = [], [], 304 + worlds
+        self.scores, self.losses, self.measures, at = [], [], [], head + worlds
         while at < len(data):
             _, n, first = struct.unpack("<IIQ", data[at:at + 16])
             assert n <= block and first == len(self.scores)
@@ -54,7 +62,10 @@ class Atlas:
             self.scores += list(numpy.frombuffer(data, "<f4", n, at))
             at += (4 * n + 7) // 8 * 8
             self.losses += list(numpy.frombuffer(data, "<f2", n * self.n, at).reshape(n, self.n))
-            at += (2 * n * self.n + 7) // 8 * 8 + 8
+            at += (2 * n * self.n + 7) // 8 * 8
+            k = len(self.names)
+            self.measures += list(numpy.frombuffer(data, "<f4", n * k, at).reshape(k, n).T)
+            at += (4 * n * k + 7) // 8 * 8 + 8
         assert len(self.scores) == sum(self.counts)
 
 
@@ -165,6 +176,86 @@ def test_scores_are_those_of_evaluations(service, built):
     assert differ > 6, "most bodies are not symmetric"
 
 
+def means_of(service, robots, value, measures):
+    """Returns the measures of each rollout, and the means of each robot, from an evaluation."""
+    request = {"designs": [{"id": robot} for robot in robots], "physics": value["physics"],
+               "environments": value["environments"], "measures": measures}
+    results = service.evaluate(request, wait=60).json()["results"]
+    names = list(results[0]["measures"])
+    number = lambda shown: numpy.nan if shown is None else shown  # noqa: E731
+    return (names, [[[number(cell["measures"][name]) for name in names] for cell in result["losses"]]
+                    for result in results],
+            [[number(result["measures"][name]) for name in names] for result in results],
+            [result["genotype"] for result in results])
+
+
+@pytest.mark.parametrize("orientations", ("images", "canonical"))
+@pytest.mark.parametrize("measures", (True, ["mean_speed_m_per_s", "displacement_m", "work_j"]))
+def test_measures_are_those_of_evaluations(service, orientations, measures):
+    """The means of measures, bit for bit as float32."""
+    value = REQUEST | {"orientations": orientations}
+    job = build(service, value | {"measures": measures})
+    named = MEASURES if measures is True else sorted(measures, key=MEASURES.index)
+    assert job["atlas"]["measures"] == named
+    measured = Atlas(file_of(service, job["atlas"]["name"]))
+    assert measured.names == named
+    plain = build(service, value)
+    assert plain["atlas"]["measures"] == []
+    plain = Atlas(file_of(service, plain["atlas"]["name"]))
+    assert plain.scores == measured.scores and not plain.names, "measures change no score"
+    bodies = all_bodies(service, 4)
+    for i in (0, 2, *random.Random(7).sample(range(len(bodies)), 8)):
+        names, rollouts, means, genotypes = means_of(
+            service, [f"{bodies[i]}@{k}" for k in range(8)], REQUEST, measures)
+        assert names == named
+        if orientations == "canonical":
+            expected = means[0]
+        else:
+            distinct = [rollouts[k] for k in range(8) if genotypes[k] not in genotypes[:k]]
+            expected = []
+            for m in range(len(named)):
+                total = 0.0
+                for e in range(3):
+                    inner = 0.0
+                    for one in distinct:
+                        inner += one[e][m]
+                    total += inner / len(distinct)
+                expected.append(total / 3)
+        numpy.testing.assert_array_equal(measured.measures[i], numpy.float32(expected))
+        assert not numpy.isnan(measured.measures[i]).all()
+
+
+def test_no_measures_of_diverged_bodies(service):
+    """As in evaluations, a mean needs all of its numbers."""
+    wild = {"integrator": "paper", "dt_s": 0.05, "n_steps": 500, "control_period_s": 0.05}
+    value = {"voxels": 2, "measures": True, "physics": wild, "environments": [{"task": "walk"}],
+             "name": "diverged"}
+    build(service, value)
+    atlas = Atlas(file_of(service, "diverged"))
+    assert numpy.isinf(atlas.scores).all() and numpy.isnan(atlas.measures).all()
+    assert len(atlas.measures[0]) == 20
+    data = service.get("/v1/atlases/diverged/body?position=1")
+    assert set(data["measures"].values()) == {None} == set(data["of_size"]["measures"].values())
+
+
+def test_measured_elsewhere(service, start):
+    """With measures, too, the file is the same for other numbers of threads, and devices."""
+    value = REQUEST | {"measures": True}
+    done = build(service, value | {"name": "measured"})
+    expected = file_of(service, "measured").read_bytes()
+    assert done["atlas"]["rollouts_done"] == 3 * (1 + 3 + 15 + 86)
+    other = start("--workers=1")
+    build(other, value | {"name": "other"})
+    assert file_of(other, "other").read_bytes() == expected
+    on_device = start(*FLAGS, environment=fake(devices=2))
+    done = build(on_device, value | {"device": "cuda", "name": "third"})
+    assert done["device"] == "cuda"
+    found = file_of(on_device, "third")
+    assert Atlas(found).scores == Atlas(file_of(service, "measured")).scores
+    numpy.testing.assert_array_equal(
+        Atlas(found).measures, Atlas(file_of(service, "measured")).measures)
+
+
 @pytest.mark.parametrize("orientations", ("images", "canonical"))
 def test_the_same_file_elsewhere(service, built, start, orientations):
     """Other numbers of threads, and devices: the module for tests computes the same bits, but says
@@ -231,7 +322,8 @@ def test_keys(service):
     ({"task": "swim"}, "/task"), ({"task": "walk"}, "/task"),
     ({"environments": "morpho-12"}, "/environments"), ({"orientations": "best"}, "/orientations"),
     ({"priority": "interactive"}, "/priority"), ({"controller": "nobody"}, "/controller"),
-    ({"physics": {"dt_s": -1}}, "/physics/dt_s"), ({"designs": []}, "/designs")])
+    ({"measures": ["speed"]}, "/measures/0"), ({"measures": []}, "/measures"),
+    ({"measures": 3}, "/measures"), ({"physics": {"dt_s": -1}}, "/physics/dt_s"), ({"designs": []}, "/designs")])
 def test_refusals(service, change, pointer):
     reply = service.request("POST", "/v1/atlases", REQUEST | change)
     assert reply.status == 422 and reply.pointers() == [pointer], reply.body

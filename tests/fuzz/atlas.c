@@ -20,16 +20,16 @@ static void repair(uint8_t *file, size_t size)
   if (size < sizeof(head))
     return;
   memcpy(&head, file, sizeof(head));
-  if (head.environments_bytes <= size - sizeof(head))
-    mo_sha256_of(file + sizeof(head), head.environments_bytes, &head.environments);
-  head.checksum = mo_form_hash((const uint8_t *)&head, offsetof(struct mo_atlas_head, checksum));
+  if (head.environments_bytes <= size - mo_atlas_head_bytes(&head))
+    mo_sha256_of(file + mo_atlas_head_bytes(&head), head.environments_bytes, &head.environments);
+  *mo_atlas_head_checksum(&head) = mo_atlas_head_hash(&head);
   memcpy(file, &head, sizeof(head));
   if (mo_atlas_head_check(&head, size, NULL) != MO_OK)
     return;
   mo_atlas_layout_fill(&head, &layout);
   for (uint64_t i = 0; i < layout.blocks[MO_ATLAS_VOXELS_MAX]; i++) {
     const struct mo_atlas_block block = mo_atlas_block_of(&layout, i);
-    const size_t checked = mo_atlas_checksum_at(block.n, head.n_environments);
+    const size_t checked = mo_atlas_checksum_at(&layout, block.n);
     FUZZ_PROMISE(block.begin + block.bytes <= size && checked + 8 == block.bytes);
     const uint64_t checksum = mo_form_hash(file + block.begin, checked);
     memcpy(file + block.begin + checked, &checksum, sizeof(checksum));
@@ -55,6 +55,12 @@ static void use(const struct mo_atlas *atlas)
     mo_atlas_losses(atlas, i, losses);
     for (uint32_t e = 0; e < n; e++)
       FUZZ_PROMISE(!isnan(losses[e]));
+    for (int m = 0; m < MO_MEASURES; m++) {
+      const float value = mo_atlas_measure(atlas, i, (enum mo_measure)m);
+      const double percentile = mo_atlas_measure_percentile(atlas, i, (enum mo_measure)m);
+      FUZZ_PROMISE(!isinf(value) && isnan(percentile) == isnan(value));
+      FUZZ_PROMISE(isnan(percentile) || (percentile >= 0 && percentile <= 100));
+    }
   }
 }
 

@@ -1,7 +1,8 @@
 /* all_answers.c: writes an atlas file with invented losses, and prints what the library answers
  * about every body of it, as lines of JSON: for tests of other readers of the same file.
  *
- * usage: atlas-all-answers PATH NX NY NZ VOXELS LEVELS; LEVELS as for fixture_loss. */
+ * usage: atlas-all-answers PATH NX NY NZ VOXELS LEVELS [MEASURES]; LEVELS as for fixture_loss,
+ * MEASURES a set as bits. */
 #include "fixture.h"
 
 #include <math.h>
@@ -33,7 +34,7 @@ static void write_file(const char *path, const struct mo_atlas_source *source, u
   struct mo_atlas_bodies *bodies = NULL;
   struct mo_message message = {""};
   uint64_t form[MO_DEFAULT_WORDS] = {0};
-  double losses[ENVIRONMENTS];
+  double losses[ENVIRONMENTS], measures[MO_MEASURES];
   mo_environment_paper_test(environments);
   int error = mo_atlas_writer_create(path, source, environments, ENVIRONMENTS, &writer, &message);
   if (error == MO_OK)
@@ -42,8 +43,10 @@ static void write_file(const char *path, const struct mo_atlas_source *source, u
     error = mo_atlas_bodies_next(bodies, form);
     for (uint32_t e = 0; e < ENVIRONMENTS; e++)
       losses[e] = loss_of(form, e, levels);
+    for (uint32_t m = 0; m < MO_MEASURES; m++)
+      measures[m] = fixture_measure(form, m, levels);
     if (error == MO_OK)
-      error = mo_atlas_writer_add(writer, form, losses);
+      error = mo_atlas_writer_add(writer, form, losses, measures);
   }
   if (error == MO_OK)
     error = mo_atlas_writer_finish(writer, &message);
@@ -53,10 +56,10 @@ static void write_file(const char *path, const struct mo_atlas_source *source, u
     fail(message.text[0] != '\0' ? message.text : path, error);
 }
 
-/* JSON has no infinity. */
+/* JSON has neither infinity nor NaN. */
 static void print_score(float score)
 {
-  if (isinf(score))
+  if (!isfinite(score))
     printf("null");
   else
     printf("%.9g", (double)score);
@@ -94,6 +97,27 @@ static void print_neighbors(const struct mo_atlas *atlas, uint64_t position)
   printf("]");
 }
 
+/* [value, percentile] of each measure. */
+static void print_measures(const struct mo_atlas *atlas, uint64_t position)
+{
+  const uint32_t set = mo_atlas_source_of(atlas)->measures;
+  bool any = false;
+  printf(", \"measures\": {");
+  for (int m = 0; m < MO_MEASURES; m++) {
+    if ((set >> m & 1) == 0)
+      continue;
+    const double percentile = mo_atlas_measure_percentile(atlas, position, (enum mo_measure)m);
+    printf("%s\"%s\": [", any ? ", " : "", mo_measure_info[m].name);
+    print_score(mo_atlas_measure(atlas, position, (enum mo_measure)m));
+    if (isnan(percentile))
+      printf(", null]");
+    else
+      printf(", %.17g]", percentile);
+    any = true;
+  }
+  printf("}");
+}
+
 static void print_body(const struct mo_atlas *atlas, const struct mo_atlas_index *index,
                        const struct mo_atlas_basins *basins, uint64_t position)
 {
@@ -128,6 +152,7 @@ static void print_body(const struct mo_atlas *atlas, const struct mo_atlas_index
          (unsigned long long)mo_atlas_nth(index, 0, position),
          (unsigned long long)mo_atlas_optimum_of(basins, position),
          (unsigned long long)mo_atlas_basin_of(basins, position));
+  print_measures(atlas, position);
   if (mo_atlas_bodies_of(atlas) <= MANY)
     print_neighbors(atlas, position);
   printf("}\n");
@@ -168,8 +193,8 @@ int main(int argc, char **argv)
   struct mo_atlas_basins *basins = NULL;
   struct mo_atlas *atlas = NULL;
   struct mo_message message = {""};
-  if (argc != 7) {
-    fprintf(stderr, "usage: atlas-all-answers PATH NX NY NZ VOXELS LEVELS\n");
+  if (argc != 7 && argc != 8) {
+    fprintf(stderr, "usage: atlas-all-answers PATH NX NY NZ VOXELS LEVELS [MEASURES]\n");
     return 1;
   }
   struct mo_atlas_source source = fixture_source((uint32_t)strtoul(argv[5], NULL, 10));
@@ -177,6 +202,7 @@ int main(int argc, char **argv)
                                                  (uint16_t)strtoul(argv[3], NULL, 10),
                                                  (uint16_t)strtoul(argv[4], NULL, 10)};
   source.orientations = MO_ATLAS_IMAGES;
+  source.measures = argc > 7 ? (uint32_t)strtoul(argv[7], NULL, 10) : 0;
   write_file(argv[1], &source, strtoull(argv[6], NULL, 10));
   int error = mo_atlas_open(argv[1], &atlas, &message);
   if (error == MO_OK)

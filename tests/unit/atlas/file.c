@@ -70,6 +70,98 @@ static void blocks(void)
   CHECK((double)block_bytes / (double)i < 32.03); /* 32, and 32 for each block */
 }
 
+#define SOME (1U << MO_MEASURE_MEAN_SPEED | 1U << MO_MEASURE_WORK)
+
+/* Measures, over several blocks, and percentiles, compared with plain counting. */
+static void measures(void)
+{
+  struct mo_atlas_source source = fixture_source(7);
+  source.measures = SOME;
+  const struct mo_atlas *atlas = fixture_atlas(&source, 50);
+  const uint64_t n = mo_atlas_bodies_of(atlas);
+  uint64_t form[MO_DEFAULT_WORDS] = {0}, first = 0, n_known = 0;
+  CHECK_INT(mo_atlas_source_of(atlas)->measures, SOME);
+  for (uint64_t i = 0; i < n; i++) {
+    (void)mo_atlas_form(atlas, i, form);
+    const float speed = mo_atlas_measure(atlas, i, MO_MEASURE_MEAN_SPEED);
+    const float work = mo_atlas_measure(atlas, i, MO_MEASURE_WORK);
+    const float expected[] = {(float)fixture_measure(form, 0, 50),
+                              (float)fixture_measure(form, 1, 50)};
+    CHECK(isnan(expected[0]) ? isnan(speed) : speed == expected[0]);
+    CHECK(isnan(expected[1]) ? isnan(work) : work == expected[1]);
+    CHECK(isnan(mo_atlas_measure(atlas, i, MO_MEASURE_TILT)));
+    n_known += !isnan(work);
+  }
+  CHECK(n_known > n / 2 && n_known < n);
+  for (uint64_t i = 1; i < n; i += 97) {
+    const float own = mo_atlas_measure(atlas, i, MO_MEASURE_WORK);
+    const uint64_t of = mo_atlas_size(atlas, mo_atlas_form(atlas, i, form), &first);
+    double lower = 0, equal = 0, others = 0;
+    for (uint64_t k = first; k < first + of; k++) {
+      const float value = mo_atlas_measure(atlas, k, MO_MEASURE_WORK);
+      lower += value < own;
+      equal += k != i && value == own;
+      others += k != i && !isnan(value);
+    }
+    const double found = mo_atlas_measure_percentile(atlas, i, MO_MEASURE_WORK);
+    if (isnan(own))
+      CHECK(isnan(found));
+    else
+      CHECK_NEAR(found, others > 0 ? 100 * (lower + equal / 2) / others : 100, 1e-12);
+  }
+  CHECK(isnan(mo_atlas_measure_percentile(atlas, 1, MO_MEASURE_TILT)));
+}
+
+/* Sorted by a measure: both ways, and those without a value last. */
+static void order_of_measures(void)
+{
+  struct mo_atlas_source source = fixture_source(5);
+  source.measures = SOME;
+  const struct mo_atlas *atlas = fixture_atlas(&source, 20);
+  const uint64_t n = mo_atlas_bodies_of(atlas);
+  struct mo_atlas_index *index = NULL;
+  CHECK_INT(mo_atlas_index_create_by(atlas, MO_MEASURE_TILT, false, &index), MO_ERR_NOT_FOUND);
+  for (int is_negative = 0; is_negative < 2; is_negative++) {
+    const float edges[] = {-INFINITY, 0, INFINITY};
+    uint64_t counts[2] = {0}, n_known = 0;
+    REQUIRE_OK(mo_atlas_index_create_by(atlas, MO_MEASURE_MEAN_SPEED, is_negative != 0, &index));
+    for (uint64_t i = 0; i < n; i++) {
+      const uint64_t at = mo_atlas_nth(index, 0, i);
+      const float value = mo_atlas_measure(atlas, at, MO_MEASURE_MEAN_SPEED);
+      n_known += !isnan(value);
+      if (i == 0)
+        continue;
+      const uint64_t last_at = mo_atlas_nth(index, 0, i - 1);
+      const float last = mo_atlas_measure(atlas, last_at, MO_MEASURE_MEAN_SPEED);
+      CHECK(isnan(last) ? isnan(value) && last_at < at
+                        : isnan(value) || (is_negative != 0 ? last > value : last < value) ||
+                              (last == value && last_at < at));
+    }
+    mo_atlas_histogram(index, 0, edges, 2, counts);
+    CHECK_INT(counts[0] + counts[1], n_known);
+    CHECK(counts[0] > 0 && counts[1] > 0 && n_known < n);
+    mo_atlas_index_free(index);
+  }
+}
+
+/* Files without measures do not change. */
+static void first_version(void)
+{
+  static const char expected[] = "ffa48ebdd00c5ac367a0f09733524028ae9962bade47b3e5d536116585b9bef7";
+  const struct mo_atlas_source source = fixture_source(4);
+  struct mo_environment environments[MO_PAPER_TEST_COUNT];
+  struct mo_message message = {""};
+  struct mo_sha256 hash;
+  char path[FIXTURE_PATH];
+  size_t size;
+  snprintf(path, FIXTURE_PATH, "%s/a.atlas", fixture_folder());
+  mo_environment_paper_test(environments);
+  CHECK_OK(fixture_write(&mo_system_files, path, &source, environments, 2, 100, &message));
+  const uint8_t *bytes = fixture_bytes(path, &size);
+  mo_sha256_of(bytes, size, &hash);
+  CHECK_TEXT(MO_SHA256_HEX(&hash), expected);
+}
+
 static void environments(void)
 {
   const double heights[] = {0.1, 0.2, 0.1, 0.3, 0.2, 0.1};
@@ -133,11 +225,12 @@ static void refuse(const char *path, const uint8_t *bytes, size_t size, int erro
   mo_atlas_close(atlas);
 }
 
-static uint8_t *small_file(char path[FIXTURE_PATH], size_t *size)
+static uint8_t *small_file_with(uint32_t set, char path[FIXTURE_PATH], size_t *size)
 {
-  const struct mo_atlas_source source = fixture_source(4);
+  struct mo_atlas_source source = fixture_source(4);
   struct mo_environment environments[MO_PAPER_TEST_COUNT];
   struct mo_message message = {""};
+  source.measures = set;
   snprintf(path, FIXTURE_PATH, "%s/a.atlas", fixture_folder());
   mo_environment_paper_test(environments);
   make_check(fixture_write(&mo_system_files, path, &source, environments, 2, 100, &message),
@@ -145,11 +238,16 @@ static uint8_t *small_file(char path[FIXTURE_PATH], size_t *size)
   return fixture_bytes(path, size);
 }
 
-static void damage(void)
+static uint8_t *small_file(char path[FIXTURE_PATH], size_t *size)
+{
+  return small_file_with(0, path, size);
+}
+
+static void damage(int set)
 {
   char path[FIXTURE_PATH];
   size_t size;
-  uint8_t *bytes = small_file(path, &size);
+  uint8_t *bytes = small_file_with((uint32_t)set, path, &size);
   REQUIRE(size > sizeof(struct mo_atlas_head));
   for (size_t at = 0; at < size;
        at += at < sizeof(struct mo_atlas_head) || at > size - 64 ? 1 : 7) {
@@ -181,7 +279,7 @@ static void head_that_lies(void)
     int error;
     const char *words;
   } lies[] = {
-      {offsetof(struct mo_atlas_head, version), 2, MO_ERR_UNSUPPORTED, "version 2"},
+      {offsetof(struct mo_atlas_head, version), 3, MO_ERR_UNSUPPORTED, "version 3"},
       {offsetof(struct mo_atlas_head, byte_order), 0x04030201, MO_ERR_UNSUPPORTED, "byte order"},
       {offsetof(struct mo_atlas_head, sides), 0, MO_ERR_CORRUPT, "head"},
       {offsetof(struct mo_atlas_head, sides), 65542, MO_ERR_CORRUPT, "head"},
@@ -204,11 +302,55 @@ static void head_that_lies(void)
     struct mo_atlas_head head;
     memcpy(&head, bytes, sizeof(head));
     memcpy((uint8_t *)&head + lies[i].at, &lies[i].value, sizeof(lies[i].value));
-    head.checksum = mo_form_hash((const uint8_t *)&head, offsetof(struct mo_atlas_head, checksum));
+    *mo_atlas_head_checksum(&head) = mo_atlas_head_hash(&head);
     uint8_t *changed = make_zeros(size, 1);
     memcpy(changed, bytes, size);
     memcpy(changed, &head, sizeof(head));
     refuse(path, changed, size, lies[i].error, lies[i].words);
+  }
+}
+
+/* Changes one number of a file with measures, and makes the checksums right again. */
+static void measures_that_lie(void)
+{
+  static const struct {
+    uint64_t set;
+    uint32_t value;
+    int error;
+    const char *words;
+  } lies[] = {{SOME, MO_ATLAS_NO_VALUE, MO_OK, ""},
+              {SOME, 0xc0000000, MO_OK, ""},
+              {SOME, 0x7fc00001, MO_ERR_CORRUPT, "damaged or unsorted"},
+              {SOME, 0xffc00000, MO_ERR_CORRUPT, "damaged or unsorted"},
+              {SOME, 0xff800000, MO_ERR_CORRUPT, "damaged or unsorted"},
+              {0, 0, MO_ERR_CORRUPT, "head"},
+              {1, 0, MO_ERR_CORRUPT, "should have"},
+              {SOME | 1U << MO_MEASURES, 0, MO_ERR_UNSUPPORTED, "does not know"}};
+  char path[FIXTURE_PATH];
+  size_t size;
+  uint8_t *bytes = small_file_with(SOME, path, &size);
+  struct mo_atlas_layout layout;
+  struct mo_atlas_head head;
+  memcpy(&head, bytes, sizeof(head));
+  CHECK(head.version == 2 && mo_atlas_head_bytes(&head) == 312);
+  mo_atlas_layout_fill(&head, &layout);
+  const struct mo_atlas_block block = mo_atlas_block_of(&layout, 3); /* 21 bodies of 4 voxels */
+  uint8_t *const begin = bytes + block.begin;
+  for (size_t i = 0; i < COUNT(lies); i++) {
+    struct mo_atlas *atlas = NULL;
+    head.end[0] = lies[i].set;
+    *mo_atlas_head_checksum(&head) = mo_atlas_head_hash(&head);
+    memcpy(bytes, &head, sizeof(head));
+    memcpy(begin + mo_atlas_measures_at(&layout, block.n) + 4, &lies[i].value, 4);
+    const uint64_t checksum = mo_form_hash(begin, mo_atlas_checksum_at(&layout, block.n));
+    memcpy(begin + mo_atlas_checksum_at(&layout, block.n), &checksum, sizeof(checksum));
+    if (lies[i].error != MO_OK) {
+      refuse(path, bytes, size, lies[i].error, lies[i].words);
+      continue;
+    }
+    store(path, bytes, size);
+    CHECK_OK(mo_atlas_open(path, &atlas, NULL));
+    mo_atlas_close(atlas);
   }
 }
 
@@ -225,7 +367,7 @@ static void blocks_that_lie(void)
   const struct mo_atlas_block block = mo_atlas_block_of(&layout, 3); /* 21 bodies of 4 voxels */
   REQUIRE(block.n == 21);
   uint8_t *const begin = bytes + block.begin;
-  const size_t checked = mo_atlas_checksum_at(block.n, 2);
+  const size_t checked = mo_atlas_checksum_at(&layout, block.n);
   for (int lie = 0; lie < 5; lie++) {
     uint8_t *saved = make_zeros(block.bytes, 1);
     const float nan_score = NAN;
@@ -294,10 +436,15 @@ static void losses(void)
 static const struct check_case cases[] = {
     {"what was written is read", content},
     {"several blocks; bytes of a body", blocks},
+    {"measures and their percentiles", measures},
+    {"bodies in the order of a measure", order_of_measures},
+    {"files without measures stay as they were", first_version},
     {"source and environments", environments},
-    {"damaged, truncated and longer files", damage},
+    {"damaged, truncated and longer files", WITH(damage, 0)},
+    {"the same with measures", WITH(damage, SOME)},
     {"heads with wrong numbers", head_that_lies},
     {"blocks with wrong numbers", blocks_that_lie},
+    {"measures with wrong numbers", measures_that_lie},
     {"things that are not atlas files", other_files},
     {"losses in 16 bits", losses},
 };

@@ -9,6 +9,7 @@
 #include "morphospace/form_set.h"
 
 #include <dirent.h>
+#include <math.h>
 #include <morpho/atlas.h>
 #include <unistd.h>
 
@@ -55,13 +56,20 @@ static inline double fixture_loss(const uint64_t *form, uint32_t environment, ui
   return (double)(mo_form_hash((const uint8_t *)words, sizeof(words)) % levels) / (double)levels;
 }
 
+/* The same for a measure; some have no value. */
+static inline double fixture_measure(const uint64_t *form, uint32_t m, uint64_t levels)
+{
+  return fixture_loss(form, 100 + m, 13) == 0 ? (double)NAN
+                                              : 8 * fixture_loss(form, 200 + m, levels) - 3;
+}
+
 /* Adds bodies with invented losses until `end`, or all. */
 static inline int fixture_add(struct mo_atlas_writer *writer, const struct mo_atlas_source *source,
                               uint32_t n_environments, uint64_t levels, uint64_t end)
 {
   struct mo_atlas_bodies *bodies = NULL;
   uint64_t form[MO_DEFAULT_WORDS] = {0};
-  double losses[MO_ATLAS_ENVIRONMENTS_MAX];
+  double losses[MO_ATLAS_ENVIRONMENTS_MAX], measures[MO_MEASURES];
   int error = mo_atlas_bodies_create(&source->scope, &bodies);
   if (error == MO_OK)
     error = mo_atlas_bodies_seek(bodies, mo_atlas_writer_position(writer));
@@ -70,8 +78,10 @@ static inline int fixture_add(struct mo_atlas_writer *writer, const struct mo_at
     error = mo_atlas_bodies_next(bodies, form);
     for (uint32_t e = 0; e < n_environments; e++)
       losses[e] = fixture_loss(form, e, levels);
+    for (uint32_t m = 0; m < (uint32_t)__builtin_popcount(source->measures); m++)
+      measures[m] = fixture_measure(form, m, levels);
     if (error == MO_OK)
-      error = mo_atlas_writer_add(writer, form, losses);
+      error = mo_atlas_writer_add(writer, form, losses, measures);
   }
   mo_atlas_bodies_free(bodies);
   return error;

@@ -295,7 +295,7 @@ static void special_scores(void)
   REQUIRE_OK(mo_atlas_bodies_create(&source.scope, &stream));
   for (size_t i = 0; i < COUNT(losses); i++) {
     REQUIRE_OK(mo_atlas_bodies_next(stream, form));
-    CHECK_OK(mo_atlas_writer_add(writer, form, &losses[i]));
+    CHECK_OK(mo_atlas_writer_add(writer, form, &losses[i], NULL));
   }
   CHECK_OK(mo_atlas_writer_finish(writer, NULL));
   mo_atlas_writer_free(writer);

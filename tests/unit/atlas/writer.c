@@ -85,12 +85,11 @@ static void killed(void)
 }
 
 /* Saved bodies of an unfinished block are there after a kill, and its end may be torn. */
-static void saved(void)
+static void saved_at(const uint64_t *at, size_t n)
 {
-  static const uint64_t at[] = {1, 2, 700, 3823, 4000, 8191, 20000, 24134, 24135};
   size_t size, found;
   const uint8_t *bytes = whole(&size);
-  for (size_t i = 0; i < COUNT(at); i++) {
+  for (size_t i = 0; i < n; i++) {
     int status = 0;
     const pid_t child = fork();
     if (child == 0) {
@@ -126,6 +125,12 @@ static void saved(void)
   }
 }
 
+static void saved(void)
+{
+  static const uint64_t at[] = {1, 2, 700, 3823, 4000, 8191, 20000, 24134, 24135};
+  saved_at(at, COUNT(at));
+}
+
 /* The end of an unfinished file may be anything. */
 static void torn(void)
 {
@@ -140,6 +145,55 @@ static void torn(void)
     CHECK_OK(fclose(file));
     complete(bytes, size);
   }
+}
+
+/* The same for a file with measures. */
+static void measured(void)
+{
+  static const uint64_t at[] = {2, 4001, 24134};
+  source.measures = 1U << MO_MEASURE_DISPLACEMENT | 1U << MO_MEASURE_WORK | 1U << MO_MEASURE_TILT;
+  killed();
+  saved_at(at, COUNT(at));
+  torn();
+  source.measures = 0;
+}
+
+/* Measures that cannot be stored, and other measures than those of an unfinished file. */
+static void wrong_measures(void)
+{
+  struct mo_atlas_bodies *bodies = NULL;
+  struct mo_message message = {""};
+  uint64_t form[MO_DEFAULT_WORDS];
+  const double losses[] = {1, 2};
+  bool is_of = false;
+  source = fixture_source(1);
+  snprintf(path, sizeof(path), "%s/a", fixture_folder());
+  source.measures = MO_MEASURES_ALL + 1;
+  (void)create(&message, MO_ERR_INVALID);
+  CHECK_SAYS(message, "20 measures");
+  source.measures = 3;
+  struct mo_atlas_writer *writer = create(&message, MO_OK);
+  REQUIRE_OK(mo_atlas_bodies_create(&source.scope, &bodies));
+  REQUIRE_OK(mo_atlas_bodies_next(bodies, form));
+  mo_atlas_bodies_free(bodies);
+  CHECK_INT(mo_atlas_writer_add(writer, form, losses, (double[]){1, INFINITY}), MO_ERR_INVALID);
+  CHECK_INT(mo_atlas_writer_add(writer, form, losses, (double[]){-1e39, 0}), MO_ERR_INVALID);
+  CHECK_INT(mo_atlas_writer_position(writer), 0);
+  mo_atlas_writer_free(writer);
+  source.measures = 5;
+  (void)create(&message, MO_ERR_CONFLICT);
+  source.measures = 3;
+  writer = create(&message, MO_OK);
+  CHECK_OK(mo_atlas_writer_add(writer, form, losses, (double[]){-NAN, 0.1}));
+  CHECK_OK(mo_atlas_writer_finish(writer, &message));
+  mo_atlas_writer_free(writer);
+  const struct mo_atlas *atlas = fixture_open(path);
+  CHECK(isnan(mo_atlas_measure(atlas, 0, MO_MEASURE_DISPLACEMENT)));
+  CHECK(mo_atlas_measure(atlas, 0, MO_MEASURE_PATH_LENGTH) == 0.1F);
+  CHECK(mo_atlas_is_of(atlas, &source, environments, N, &is_of) == MO_OK && is_of);
+  source.measures = 5;
+  CHECK(mo_atlas_is_of(atlas, &source, environments, N, &is_of) == MO_OK && !is_of);
+  source = fixture_source(8);
 }
 
 static void altered_block(void)
@@ -272,18 +326,19 @@ static void wrong_bodies(void)
   REQUIRE_OK(mo_atlas_bodies_next(bodies, first));
   REQUIRE_OK(mo_atlas_bodies_next(bodies, second));
   CHECK_INT(mo_atlas_writer_bodies(writer), 3);
-  CHECK_INT(mo_atlas_writer_add(writer, second, (double[]){1, 2}), MO_ERR_CONFLICT);
-  CHECK_INT(mo_atlas_writer_add(writer, first, (double[]){1, NAN}), MO_ERR_INVALID);
-  CHECK_INT(mo_atlas_writer_add(writer, first, (double[]){-INFINITY, 1}), MO_ERR_INVALID);
-  CHECK_INT(mo_atlas_writer_add(writer, first, (double[]){-INFINITY, INFINITY}), MO_ERR_INVALID);
+  CHECK_INT(mo_atlas_writer_add(writer, second, (double[]){1, 2}, NULL), MO_ERR_CONFLICT);
+  CHECK_INT(mo_atlas_writer_add(writer, first, (double[]){1, NAN}, NULL), MO_ERR_INVALID);
+  CHECK_INT(mo_atlas_writer_add(writer, first, (double[]){-INFINITY, 1}, NULL), MO_ERR_INVALID);
+  CHECK_INT(mo_atlas_writer_add(writer, first, (double[]){-INFINITY, INFINITY}, NULL),
+            MO_ERR_INVALID);
   CHECK_INT(mo_atlas_writer_position(writer), 0);
-  CHECK_OK(mo_atlas_writer_add(writer, first, (double[]){1, INFINITY}));
-  CHECK_OK(mo_atlas_writer_add(writer, second, (double[]){1e5, 1}));
+  CHECK_OK(mo_atlas_writer_add(writer, first, (double[]){1, INFINITY}, NULL));
+  CHECK_OK(mo_atlas_writer_add(writer, second, (double[]){1e5, 1}, NULL));
   CHECK_INT(mo_atlas_writer_finish(writer, &message), MO_ERR_INVALID);
   CHECK_SAYS(message, "lacks 1 of 3 bodies");
   REQUIRE_OK(mo_atlas_bodies_next(bodies, second));
-  CHECK_OK(mo_atlas_writer_add(writer, second, (double[]){0.25, 0.5}));
-  CHECK_INT(mo_atlas_writer_add(writer, second, (double[]){0.25, 0.5}), MO_ERR_CONFLICT);
+  CHECK_OK(mo_atlas_writer_add(writer, second, (double[]){0.25, 0.5}, NULL));
+  CHECK_INT(mo_atlas_writer_add(writer, second, (double[]){0.25, 0.5}, NULL), MO_ERR_CONFLICT);
   CHECK_OK(mo_atlas_writer_finish(writer, &message));
   mo_atlas_writer_free(writer);
   mo_atlas_bodies_free(bodies);
@@ -439,6 +494,8 @@ static const struct check_case cases[] = {
     {"killed at any moment", killed},
     {"saved bodies of an unfinished block", saved},
     {"an end of anything", torn},
+    {"with measures", measured},
+    {"measures that are refused", wrong_measures},
     {"an altered block", altered_block},
     {"other files and writers", conflicts},
     {"a name that is taken meanwhile", taken_meanwhile},

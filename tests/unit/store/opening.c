@@ -6,10 +6,11 @@
 #include "store/internal.h"
 #include "store/worlds.h"
 
-#define NEWEST 24 /* schema */
-/* Takes back what versions 18 to 24 added. */
-#define WITHOUT_24 "DROP TABLE certificate_losses; DROP TABLE certificates;"
-#define WITHOUT_23 "DROP TABLE atlases;" WITHOUT_24
+#define NEWEST 25 /* schema */
+/* Takes back what versions 18 to 25 added. */
+#define WITHOUT_25 "ALTER TABLE atlases DROP COLUMN measures;"
+#define WITHOUT_24 WITHOUT_25 "DROP TABLE certificate_losses; DROP TABLE certificates;"
+#define WITHOUT_23 WITHOUT_24 "DROP TABLE atlases;"
 #define WITHOUT_22 "ALTER TABLE measures DROP COLUMN origin;" WITHOUT_23
 #define WITHOUT_21 "ALTER TABLE evaluations DROP COLUMN suite;" WITHOUT_22
 #define WITHOUT_20 "ALTER TABLE campaign_losses DROP COLUMN measures;" WITHOUT_21
@@ -50,7 +51,7 @@ static void refuses_what_is_not_ours(void)
 {
   CHECK_INT(reopen_after("PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
   CHECK_SAYS(fixture.message, "99"); /* written by a newer program */
-  CHECK_INT(reopen_after("PRAGMA user_version=24; PRAGMA application_id=7"), MO_ERR_FORMAT);
+  CHECK_INT(reopen_after("PRAGMA user_version=25; PRAGMA application_id=7"), MO_ERR_FORMAT);
   CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
   close_store();
   scribble(0, 8192); /* not a database, despite its name */
@@ -66,13 +67,13 @@ static void refuses_older_versions(void)
     CHECK_INT(reopen_after(sql), MO_ERR_UNSUPPORTED);
     CHECK_SAYS(fixture.message, version <= 8
                                     ? "was written by morphod 0.1"
-                                    : "of an unreleased program; this version reads 14 to 24");
+                                    : "of an unreleased program; this version reads 14 to 25");
     CHECK_SAYS(fixture.message, "an empty folder");
     CHECK_SAYS(fixture.message, fixture.path);
     CHECK_INT(outside_integer("PRAGMA user_version"), version);
     CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_OK(reopen_after("PRAGMA user_version=24"));
+  CHECK_OK(reopen_after("PRAGMA user_version=25"));
 }
 
 /* Jobs of version 14 are read as before; tables that are no longer used are dropped. */
