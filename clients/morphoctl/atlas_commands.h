@@ -14,6 +14,8 @@
       "Steps that lead to a neighbor, separated by commas: add, remove, move (default: "           \
       "add,remove)."
 #define OF_VOXELS "voxels", 0, "N", "Only bodies of N voxels."
+#define BY_MEASURE                                                                                 \
+  "measure", 0, "NAME", "A measure of the atlas, such as mean_speed_m_per_s, in place of the score."
 static const struct option_spec atlas_body_options[] = {
     {AT_POSITION},
     {STEPS},
@@ -24,18 +26,24 @@ static const struct option_spec atlas_similar_options[] = {
     {AT_POSITION}, {"limit", 'n', "N", "Maximum number, best first (default: 100)."}, {NULL}};
 static const struct option_spec atlas_best_options[] = {
     {OF_VOXELS},
-    {"lo", 0, "SCORE", "Only scores from this one on."},
-    {"hi", 0, "SCORE", "Only scores below this one."},
+    {BY_MEASURE},
+    {"order", 0, "descending|ascending",
+     "Of a measure: the highest values first (default), or the lowest."},
+    {"lo", 0, "SCORE", "Only scores (or values of the measure) from this one on."},
+    {"hi", 0, "SCORE", "Only scores (or values of the measure) below this one."},
     {"limit", 'n', "N", "Maximum number, best first (default: 20)."},
     {NULL}};
 static const struct option_spec atlas_optima_options[] = {
     {"limit", 'n', "N", "Maximum number, largest basins first, up to 500 (default: 20)."}, {NULL}};
 static const struct option_spec atlas_histogram_options[] = {
     {OF_VOXELS},
+    {BY_MEASURE},
     {"bins", 0, "N", "Number of bins, 1 to 1024 (default: 20)."},
     {"lo", 0, "SCORE", "Where the first bin begins (default: the lowest score)."},
     {"hi", 0, "SCORE", "Where the last bin ends (default: the highest score)."},
     {NULL}};
+static const struct option_spec atlas_map_options[] = {
+    {"bins", 0, "N", "Number of bins of score and measure, 1 to 64 (default: 24)."}, {NULL}};
 static const struct option_spec atlas_compare_options[] = {
     {"bins", 0, "N", "Number of bins of each score, 1 to 64 (default: 24)."}, {NULL}};
 static const struct option_spec atlas_download_options[] = {
@@ -51,6 +59,9 @@ static const struct option_spec atlas_build_options[] = {
      "images: a score is the mean over the distinct images of a body, at most eight (default). "
      "canonical: that of its canonical form, in an eighth of the time.",
      "orientations"},
+    {"measures", 0, "LIST",
+     "Measures of the bodies: all, or names separated by commas, such as "
+     "displacement_m,mean_speed_m_per_s. The file grows by 4 bytes per body and measure."},
     {"name", 0, "NAME", "Name of the atlas (default: made of task and voxels, such as walk-10).",
      "name"},
     {CONTROLLER},
@@ -84,13 +95,20 @@ static const struct option_spec atlas_build_options[] = {
    run_atlas_similar, "Steps of adding and removing a voxel; the best first.", \
    atlas_similar_options}, \
   {"atlas best", "NAME", "List the best bodies.", run_atlas_best, \
-   "Of all sizes or of one; with --lo and --hi, those of a range of scores.", atlas_best_options}, \
+   "Of all sizes or of one; with --lo and --hi, those of a range of scores. With --measure, the " \
+   "bodies with the highest values.", \
+   atlas_best_options}, \
   {"atlas optima", "NAME", "List the local optima with the largest basins.", run_atlas_optima, \
    "The basin of an optimum is the number of bodies whose steepest ascent by adding and removing " \
    "voxels ends at it. The first time takes some seconds.", \
    atlas_optima_options}, \
-  {"atlas histogram", "NAME", "Show the distribution of the scores.", run_atlas_histogram, NULL, \
+  {"atlas histogram", "NAME", "Show the distribution of the scores or of a measure.", \
+   run_atlas_histogram, NULL, \
    atlas_histogram_options}, \
+  {"atlas map", "NAME MEASURE", "Show the scores and a measure of all bodies.", run_atlas_map, \
+   "A map of both, the score downward, the measure to the right, and their rank correlation " \
+   "(Kendall's tau-b).", \
+   atlas_map_options}, \
   {"atlas compare", "A B", "Compare the scores of the same bodies in two atlases.", \
    run_atlas_compare, \
    "Kendall's rank correlation (tau-b) over all bodies in both, and a map of both scores: that " \

@@ -1,9 +1,10 @@
-/* cmd_atlas.c: atlas list, show, download, upload, delete, compare, histogram. */
+/* cmd_atlas.c: atlas list, show, download, upload, delete, map, compare, histogram. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "commands.h"
 #include "download.h"
+#include "results.h"
 
 #define ATLAS_TYPE      "application/octet-stream"
 #define ATLAS_BYTES_MAX ((size_t)4 << 30)
@@ -42,6 +43,7 @@ static void print_atlas(const struct ctl *ctl, const json_t *atlas)
       {"workspace", "{workspace.0} × {workspace.1} × {workspace.2} voxels"},
       {"orientations", "{orientations}"},
       {"environments", "{environments:#}"},
+      {"measures", "[{measured}]"},
       {"controller", "sha256:{controller}"},
       {"physics", "{physics}"},
       {"class", "{fingerprint}"},
@@ -49,7 +51,9 @@ static void print_atlas(const struct ctl *ctl, const json_t *atlas)
       {"file", "{bytes:MB} MB, written {modified_at:time}"},
       {"best", "{best.id}, score {best.score:.4f}"},
       {NULL, NULL}};
-  print_facts(ctl, atlas, facts);
+  json_t *copy = keep(json_copy((json_t *)atlas));
+  json_object_set_new(copy, "measured", json_string(words_of(json_object_get(atlas, "measures"))));
+  print_facts(ctl, copy, facts);
   putchar('\n');
   print_table(stdout, ctl, json_object_get(atlas, "sizes"),
               ">voxels={voxels}|>bodies={bodies:,}|>best={best.score:.4f}|>median={median:.4f}"
@@ -142,16 +146,16 @@ static void print_histogram(const struct ctl *ctl, const json_t *histogram)
 
 void run_atlas_histogram(struct ctl *ctl)
 {
-  static const char *const filters[] = {"voxels", "lo", "hi", NULL};
+  static const char *const filters[] = {"voxels", "measure", "lo", "hi", NULL};
   const int64_t bins = option_number(ctl, "bins", 1, BINS_MAX, 20);
   show(ctl,
        path_with(ctl, path_to("%s?bins=%d", atlas_path(ctl, "/histogram"), (int)bins), filters),
        print_histogram);
 }
 
-/* Prints the histogram of both scores as shades: the first one downward, the second to the
- * right. */
-static void print_map(const struct ctl *ctl, const json_t *comparison)
+/* Prints the histogram of two numbers as shades: the first one, with these edges, downward, the
+ * second to the right. */
+static void print_map(const struct ctl *ctl, const json_t *comparison, const char *edges)
 {
   static const char *const fine[] = {" ", "░", "▒", "▓", "█"}, *const plain[] = {" ", ".", "+", "*",
                                                                                  "#"};
@@ -167,7 +171,7 @@ static void print_map(const struct ctl *ctl, const json_t *comparison)
   }
   json_array_foreach(counts, i, row)
   {
-    printf("%8.4f  ", json_number_value(json_array_get(json_object_get(comparison, "edges_a"), i)));
+    printf("%8.4f  ", json_number_value(json_array_get(json_object_get(comparison, edges), i)));
     json_array_foreach(row, k, count)
     {
       const double n = json_number_value(count);
@@ -190,7 +194,29 @@ static void print_comparison(const struct ctl *ctl, const json_t *comparison)
                                       {NULL, NULL}};
   print_facts(ctl, comparison, facts);
   putchar('\n');
-  print_map(ctl, comparison);
+  print_map(ctl, comparison, "edges_a");
+}
+
+static void print_measure(const struct ctl *ctl, const json_t *map)
+{
+  static const struct fact facts[] = {
+      {"bodies", "{bodies:,}[, {without_value>0:,} others have no value]"},
+      {"Kendall's tau", "{kendall_tau:.4f}"},
+      {"downward", "score"},
+      {"to the right", "{measure}, from {edges_measure.0:.4f}"},
+      {NULL, NULL}};
+  print_facts(ctl, map, facts);
+  putchar('\n');
+  print_map(ctl, map, "edges_score");
+}
+
+void run_atlas_map(struct ctl *ctl)
+{
+  const int64_t bins = option_number(ctl, "bins", 1, MAP_BINS_MAX, 24);
+  show(ctl,
+       path_to("%s?measure=%s&bins=%d", atlas_path(ctl, "/map"), escape(ctl->operands[1]),
+               (int)bins),
+       print_measure);
 }
 
 void run_atlas_compare(struct ctl *ctl)

@@ -52,10 +52,20 @@ static void print_body(const struct ctl *ctl, const json_t *body)
       {"ascent ends at", "[{optimum.id}, score {optimum.score:.4f}]"},
       {"basin", "[{basin>0:,} bodies]"},
       {NULL, NULL}};
-  const char *genotype = text_of(body, "genotype");
+  const char *genotype = text_of(body, "genotype"), *name;
+  const json_t *measures = json_object_get(body, "measures"), *value;
   print_facts(ctl, body, facts);
   print_fact(ctl, "local optimum", "%s",
              json_is_true(json_object_get(body, "is_optimum")) ? "yes" : "no");
+  json_object_foreach((json_t *)measures, name, value)
+  {
+    const json_t *of_size = json_object_get(json_object_get(body, "of_size"), "measures");
+    if (json_is_null(value))
+      print_fact(ctl, name, "no value");
+    else
+      print_fact(ctl, name, "%.6g, above %.2f %% of its size", json_number_value(value),
+                 json_number_value(json_object_get(of_size, name)));
+  }
   if (strlen(genotype) == VOXELS) {
     putchar('\n');
     draw_body(stdout, genotype, ctl->utf8);
@@ -109,10 +119,16 @@ void run_atlas_similar(struct ctl *ctl)
 
 void run_atlas_best(struct ctl *ctl)
 {
-  static const char *const filters[] = {"voxels", "lo", "hi", NULL};
+  static const char *const filters[] = {"voxels", "measure", "order", "lo", "hi", NULL};
+  const char *measure = option_text(ctl, "measure", NULL);
   const int64_t limit = option_number(ctl, "limit", 1, 10000000, 20);
   json_t *items = collect(ctl, path_with(ctl, atlas_path(ctl, "/best"), filters), (size_t)limit);
-  print_items(ctl, keep(json_pack("{s:O, s:n}", "items", items, "next_cursor")), BODY_COLUMNS);
+  /* The server has checked the name. */
+  const char *columns =
+      measure != NULL
+          ? keep(format_text(">%s=[{measures.%s:.6g}|no value]|" BODY_COLUMNS, measure, measure))
+          : BODY_COLUMNS;
+  print_items(ctl, keep(json_pack("{s:O, s:n}", "items", items, "next_cursor")), columns);
 }
 
 static void print_optima(const struct ctl *ctl, const json_t *reply)

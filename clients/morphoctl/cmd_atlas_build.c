@@ -12,6 +12,7 @@ void run_atlas_build(struct ctl *ctl)
     fail(STATUS_USAGE, "give --task or --environments, not both");
   json_t *request = keep(json_object());
   request_fill(ctl, request);
+  request_fill_measures(ctl, request);
   const json_t *job = post_job(ctl, "/v1/atlases", request, 0);
   if (wait) {
     await_job(ctl, job, "atlas");

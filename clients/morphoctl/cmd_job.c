@@ -10,10 +10,10 @@
 #include "results.h"
 
 /* Returns a copy of a job with the names of its measures as one text. */
-static const json_t *with_measures(const json_t *job)
+static const json_t *with_measures(const json_t *job, const json_t *measures)
 {
   json_t *copy = keep(json_copy((json_t *)job));
-  json_object_set_new(copy, "measured", json_string(words_of(json_object_get(job, "measures"))));
+  json_object_set_new(copy, "measured", json_string(words_of(measures)));
   return copy;
 }
 
@@ -34,7 +34,7 @@ static void print_job(const struct ctl *ctl, const json_t *job)
        "|{certificate.rollouts_done:,} of {certificate.rollouts:,} rollouts"
        "[  {certificate.progress.rollouts_per_s:.0f} rollouts/s]"
        "[  {certificate.progress.seconds_left:duration} left]; see morphoctl certificate {id}]"},
-      {"scope", "[at most {atlas.voxels} voxels, {atlas.orientations}"
+      {"scope", "[at most {atlas.voxels} voxels, {atlas.orientations}[, {measured}]"
                 "|{certificate.designs} design{certificate.designs:s} in "
                 "{certificate.trials} trial{certificate.trials:s}]"},
       {NULL, NULL}};
@@ -56,9 +56,12 @@ static void print_job(const struct ctl *ctl, const json_t *job)
       {"diverged", "[{rollouts_diverged>0:,}]"},
       {NULL, NULL}};
   static const struct fact times[] = {JOB_TIME_FACTS, {NULL, NULL}};
+  const json_t *measures = json_object_get(job, "measures");
+  if (measures == NULL)
+    measures = json_object_get(json_object_get(job, "atlas"), "measures");
+  if (measures != NULL)
+    job = with_measures(job, measures);
   print_facts(ctl, job, first);
-  if (json_object_get(job, "measures") != NULL)
-    job = with_measures(job);
   if (json_object_get(job, "training") == NULL && json_object_get(job, "campaign") == NULL &&
       json_object_get(job, "atlas") == NULL && json_object_get(job, "certificate") == NULL)
     print_facts(ctl, job, evaluation);

@@ -12,20 +12,26 @@ from service import BINARY
 WRITER = pathlib.Path(BINARY).parents[2] / "tests" / "unit" / "atlas" / "atlas-file"
 SIDES = (6, 6, 4)
 INFINITY = float("inf")
+MEASURES = ("displacement_m", "path_length_m", "mean_speed_m_per_s", "straightness",
+            "heading_error_rad", "sideways_m", "peak_height_m", "mean_height_m", "tilt_rad",
+            "yaw_rate_rad_per_s", "air_share", "contact_front_share", "contact_back_share",
+            "contact_left_share", "contact_right_share", "hops_per_s", "work_j",
+            "cost_of_transport", "peak_strain", "inverted_voxels")
 
 
-def write(path, voxels=5, levels=1000, seed=1, orientations="canonical", side=None):
-    """Writes a file with invented losses (tests/unit/atlas/atlas_file.c)."""
-    command = [WRITER, path, voxels, levels, seed, orientations, *([side] if side else [])]
+def write(path, voxels=5, levels=1000, seed=1, orientations="canonical", side=0, measures=()):
+    """Writes a file with invented losses and measures (tests/unit/atlas/atlas_file.c)."""
+    bits = sum(1 << MEASURES.index(name) for name in measures)
+    command = [WRITER, path, voxels, levels, seed, orientations, side, bits]
     subprocess.run([str(part) for part in command], check=True)
 
 
 @functools.cache
-def file_of(voxels=5, levels=1000, seed=1, orientations="canonical", side=None):
+def file_of(voxels=5, levels=1000, seed=1, orientations="canonical", side=0, measures=()):
     """Returns the bytes of such a file."""
     with tempfile.TemporaryDirectory() as folder:
         path = pathlib.Path(folder) / "a.atlas"
-        write(path, voxels, levels, seed, orientations, side)
+        write(path, voxels, levels, seed, orientations, side, measures)
         return path.read_bytes()
 
 
@@ -94,7 +100,10 @@ class Plain:
         self.controller, self.physics = data[136:168].hex(), data[168:200].hex()
         self.counts = [n for n in counts if n]
         self.voxels, self.scores, self.losses = [], [], []
-        at = 304 + environments_bytes
+        version, bits = struct.unpack_from("<I", data, 20)[0], struct.unpack_from("<Q", data, 296)[0]
+        self.measures = {name: [] for m, name in enumerate(MEASURES)
+                         if version == 2 and bits >> m & 1}
+        at = (312 if version == 2 else 304) + environments_bytes
         while at < len(data):
             n_voxels, n, position = struct.unpack_from("<IIQ", data, at)
             assert position == len(self.voxels)
@@ -105,7 +114,10 @@ class Plain:
             self.scores += struct.unpack_from(f"<{n}f", data, scores_at)
             flat = struct.unpack_from(f"<{n * n_environments}e", data, losses_at)
             self.losses += [flat[i * n_environments:(i + 1) * n_environments] for i in range(n)]
-            at = losses_at + (2 * n * n_environments + 7) // 8 * 8 + 8
+            at = losses_at + (2 * n * n_environments + 7) // 8 * 8
+            for k, values in enumerate(self.measures.values()):
+                values += struct.unpack_from(f"<{n}f", data, at + 4 * n * k)
+            at += (4 * n * len(self.measures) + 7) // 8 * 8 + 8
         self.position = {voxels: i for i, voxels in enumerate(self.voxels)}
         self.order = sorted(range(len(self.scores)), key=lambda i: (self.scores[i], i))
 
@@ -123,6 +135,23 @@ class Plain:
         equal = sum(score == own for score in scores) - 1
         worse = len(scores) - better - equal - 1
         return better + 1, 100 * (worse + equal / 2) / (len(scores) - 1) if len(scores) > 1 else 100
+
+    def percentile(self, name, position):
+        """Returns the percentile of a measure among the bodies of the size."""
+        values = self.measures[name]
+        others = [values[i] for i in self.size(len(self.voxels[position])) if i != position and
+                  not math.isnan(values[i])]
+        own = values[position]
+        if math.isnan(own):
+            return None
+        return 100 * sum((value < own) + (value == own) / 2 for value in others) / len(
+            others) if others else 100
+
+    def by(self, name, highest, among):
+        """Returns positions in the order of a measure."""
+        values, sign = self.measures[name], -1 if highest else 1
+        return sorted(among, key=lambda i: (math.isnan(values[i]), sign * values[i]
+                                            if not math.isnan(values[i]) else 0, i))
 
     @functools.cache
     def neighbors(self, position, steps=("add", "remove")):
@@ -162,7 +191,10 @@ class Plain:
         """Returns the body as replies have it."""
         rank, percentile = self.rank(position)
         bits, score = self.bits(position), self.scores[position]
-        return {"id": f"{int(bits, 2):036x}", "voxels": len(self.voxels[position]),
+        measures = {"measures": {name: None if math.isnan(values[position]) else
+                                 shortest(values[position])
+                                 for name, values in self.measures.items()}} if self.measures else {}
+        return measures | {"id": f"{int(bits, 2):036x}", "voxels": len(self.voxels[position]),
                 "genotype": bits, "position": position,
                 "score": shortest(score), "diverged": score == INFINITY,
                 "rank": rank, "percentile": percentile}

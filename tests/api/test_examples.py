@@ -56,11 +56,12 @@ def walk(service):
     call("PUT", "/v1/controllers/walker/file", body=BOOTSTRAP.read_bytes())
     call("PUT", "/v1/controllers/walker/file", body=BOOTSTRAP.read_bytes())
 
-    call("PUT", "/v1/atlases/five/file", body=file_of())
-    call("PUT", "/v1/atlases/five/file", body=file_of())
+    measured = file_of(measures=("displacement_m", "mean_speed_m_per_s"))
+    call("PUT", "/v1/atlases/five/file", body=measured)
+    call("PUT", "/v1/atlases/five/file", body=measured)
     for path in ("", "/optima", "/body?position=9", "/neighbors?position=9", "/ascent?position=0",
                  "/similar?position=9", "/best?limit=1", "/histogram?bins=8", "/footprints",
-                 "/compare?with=five&bins=8"):
+                 "/map?measure=mean_speed_m_per_s&bins=8", "/compare?with=five&bins=8"):
         call("GET", "/v1/atlases/five" + path)
     call("GET", "/v1/atlases")
 

@@ -1,6 +1,8 @@
 """An atlas has the same bytes, whatever killed its builder, and however many threads it had."""
 import random
 
+import pytest
+
 from daemon import Daemon, open_database
 from test_disk import fill
 
@@ -31,7 +33,9 @@ def resume_failed(one, job):
         one.act(job, "resume")
 
 
-def test_kill_at_random_moments(daemon, soak, seed):
+@pytest.mark.parametrize("more", ({}, {"measures": ["displacement_m", "work_j"]}),
+                         ids=("plain", "measured"))
+def test_kill_at_random_moments(daemon, soak, seed, more):
     """Killed some times, with another number of workers in every process. Nothing that was durable
     is computed again, so the work of all processes is little more than that of one. Every second
     process lives until it has added a body, so that the job ends on any machine."""
@@ -39,7 +43,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
     generator = random.Random(seed)
     n_kills = 60 if soak else 8
     with daemon("undisturbed", workers=2) as quiet:
-        job = quiet.submit(REQUEST, "atlases")
+        job = quiet.submit(REQUEST | more, "atlases")
         quiet.succeed(job, "jobs")
         rollouts = computed(quiet)
         expected = file_of(quiet).read_bytes()
@@ -47,7 +51,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
         quiet.end()
 
     victim = daemon("victim", workers=1).start()
-    job, kills, seen = victim.submit(REQUEST, "atlases"), 0, []
+    job, kills, seen = victim.submit(REQUEST | more, "atlases"), 0, []
     while kills < n_kills:
         resume_failed(victim, job)
         least = computed(victim) + generator.uniform(0, 2 * rollouts / n_kills)

@@ -1,4 +1,6 @@
 """An atlas that workers on other machines compute has the same bytes, while workers come and go."""
+import pytest
+
 from machines import fleet_address
 
 REQUEST = {
@@ -17,15 +19,16 @@ def bodies(one, job):
     return one.json(f"/v1/jobs/{job}")["atlas"]["bodies_done"]
 
 
-def test_same_bytes(daemon, worker):
+@pytest.mark.parametrize("more", ({}, {"measures": True}), ids=("plain", "measured"))
+def test_same_bytes(daemon, worker, more):
     with daemon("alone", workers=2) as alone:
-        alone.succeed(alone.submit(REQUEST, "atlases"), "jobs")
+        alone.succeed(alone.submit(REQUEST | more, "atlases"), "jobs")
         needed = alone.counted("morphod_atlas_rollouts_total")
         expected = file_of(alone)
         alone.end()
     with daemon("remote", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
         workers, names = [], 0
-        job = one.submit(REQUEST, "atlases")
+        job = one.submit(REQUEST | more, "atlases")
         for phase, n in enumerate(NUMBERS):
             for leaving in workers[n:]:
                 assert leaving.stop() == 0

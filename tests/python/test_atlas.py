@@ -21,6 +21,8 @@ from morphod.atlas import (
 ANSWERS = (pathlib.Path(__file__).resolve().parents[2] / "build" / "tests" / "unit" / "atlas" /
            "atlas-all-answers")
 STEPS = [("add", ), ("remove", ), GROW_SHRINK, ("add", "remove", "move")]
+MEASURED = 1 << 0 | 1 << 2 | 1 << 16
+NAMES = ("displacement_m", "mean_speed_m_per_s", "work_j")
 WORDS = {1: "add", 2: "remove", 4: "move"}
 
 
@@ -33,7 +35,8 @@ def made(folder, *scope):
 
 
 @pytest.fixture(scope="module", params=[(6, 6, 4, 5, 1000003), (6, 6, 4, 5, 4), (3, 5, 2, 6, 40),
-                                        (4, 2, 3, 6, 40), (1, 2, 1, 4, 40)],
+                                        (4, 2, 3, 6, 40), (1, 2, 1, 4, 40),
+                                        (6, 6, 4, 4, 30, MEASURED), (3, 5, 2, 6, 5, (1 << 20) - 1)],
                 ids=lambda scope: "-".join(map(str, scope)))
 def answers(request, tmp_path_factory):
     """An atlas and what the library says about it: with and without many equal scores, and in
@@ -152,6 +155,65 @@ def test_histograms_and_footprints(answers):
         atlas.histogram([1, 0])
 
 
+def test_measures(answers):
+    """Values and percentiles, for every body."""
+    atlas, _, bodies = answers
+    for body in bodies:
+        at = body["position"]
+        assert tuple(body["measures"]) == atlas.measures
+        for name, (value, percentile) in body["measures"].items():
+            found = atlas.measure(name, at)
+            assert math.isnan(found) if value is None else found == np.float32(value)
+            found = atlas.measure_percentile(name, at)
+            assert math.isnan(found) if value is None else found == pytest.approx(percentile)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """An atlas with measures and more than one block of a size."""
+    return made(tmp_path_factory.mktemp("atlas"), 6, 6, 4, 7, 50, MEASURED)
+
+
+def test_arrays_of_measures(measured):
+    path, _, bodies = measured
+    atlas = Atlas.open(path, check=True)
+    assert atlas.measures == NAMES and len(atlas) == len(bodies) > 3000
+    for name in NAMES:
+        expected = [math.nan if body["measures"][name][0] is None else
+                    np.float32(body["measures"][name][0]) for body in bodies]
+        np.testing.assert_array_equal(atlas.all_measures(name), expected)
+        for block in atlas.blocks():
+            values = block.measures[name]
+            assert values.shape == (len(block), ) and values.dtype == np.float32
+            assert not values.flags.owndata and not values.flags.writeable
+            assert values.flags.c_contiguous and np.may_share_memory(values, block.keys.base)
+    assert not atlas.all_measures("work_j").flags.writeable
+    with pytest.raises(KeyError, match="does not have the measure 'tilt_rad'; it has displacement"):
+        atlas.measure("tilt_rad", 0)
+
+
+def test_in_the_order_of_a_measure(measured):
+    atlas = Atlas.open(measured[0])
+    values = atlas.all_measures("work_j", 6)
+    first = atlas.positions(6).start
+    known = [int(at) for at in np.flatnonzero(~np.isnan(values))]
+    for order, sign in (("descending", -1), ("ascending", 1)):
+        expected = sorted(known, key=lambda at, sign=sign: (sign * values[at], at))
+        found = atlas.best_by("work_j", 10**6, 6, order=order) - first
+        assert found[:len(known)].tolist() == expected
+        assert np.isnan(values[found[len(known):]]).all() and len(found) == len(values)
+    assert len(atlas.best_by("work_j", 3)) == 3
+    with pytest.raises(ValueError, match="descending or ascending"):
+        atlas.best_by("work_j", order="up")
+    edges = np.float32([-3, -1, 0.5, 5])
+    assert atlas.histogram(edges, 6, measure="work_j").tolist() == [
+        int(((lo <= values) & (values < hi)).sum()) for lo, hi in zip(edges, edges[1:])]
+    shown = atlas.map("work_j", bins=6)
+    every = atlas.all_measures("work_j")
+    assert shown.bodies == int((~np.isnan(every)).sum())
+    assert shown.tau == kendall_tau(atlas.scores()[~np.isnan(every)], every[~np.isnan(every)])
+
+
 def test_blocks_are_views_of_the_file(blocks):
     path, _, bodies = blocks
     atlas = Atlas.open(path, check=True)
@@ -225,9 +287,10 @@ def test_positions_outside(small):
         atlas.neighbors(0, "grow")
 
 
-def test_damaged_files_are_refused(small, tmp_path):
+@pytest.mark.parametrize("measures", (0, MEASURED))
+def test_damaged_files_are_refused(tmp_path, measures):
     """Any altered byte is found, and a file of another length."""
-    good = small[0].read_bytes()
+    good = made(tmp_path, 6, 6, 4, 4, 1000003, measures)[0].read_bytes()
     path = tmp_path / "bad.atlas"
     for at in [*range(0, 304, 7), *range(304, len(good), 97), len(good) - 1]:
         path.write_bytes(good[:at] + bytes([good[at] ^ 0x40]) + good[at + 1:])

@@ -79,6 +79,34 @@ def test_build(m, path):
     atlas.delete()
 
 
+def test_measures(m, tmp_path):
+    """A built atlas has the means of an evaluation; the service and the file answer the same."""
+    names = ["mean_speed_m_per_s", "displacement_m"]
+    job = m.build_atlas(3, orientations="canonical", name="moving", physics={"n_steps": 40},
+                        measures=names).live()
+    atlas = job.atlas()
+    assert atlas.data["measures"] == sorted(names)
+    file = atlas.open(tmp_path / "moving.atlas")
+    evaluation = m.evaluate([file.genotype(at) for at in range(8)], physics={"n_steps": 40},
+                            measures=names)
+    for name in names:
+        means = evaluation.frame()[f"measures_{name}"]
+        np.testing.assert_array_equal(file.all_measures(name), np.float32(means))
+        assert [body["position"] for body in atlas.best(8, measure=name)] == file.best_by(
+            name, 8).tolist()
+        lowest = atlas.best(8, 3, measure=name, order="ascending")
+        assert [body["position"] for body in lowest] == file.best_by(
+            name, 8, 3, order="ascending").tolist()
+        body = atlas.body(5)
+        assert np.float32(body["measures"][name]) == np.float32(file.measure(name, 5))
+        assert body["of_size"]["measures"][name] == pytest.approx(
+            file.measure_percentile(name, 5))
+        histogram = atlas.histogram(4, 3, measure=name)
+        assert sum(histogram["counts"][0]) == 5 and histogram["outside"] == [0]
+        assert atlas.map(name)["kendall_tau"] == pytest.approx(file.map(name).tau)
+    atlas.delete()
+
+
 def test_for_asyncio(service, path):
     async def use():
         async with morphod.AsyncClient(f"http://{service.host}:{service.port}") as client:

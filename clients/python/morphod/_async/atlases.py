@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -71,9 +71,13 @@ class AsyncStoredAtlas:
         """Lists the bodies of the steepest ascent from a body, at most 1000."""
         return await self._items("ascent", **_place(where), **_given(steps=_words(steps)))
 
-    async def best(self, limit: int = 10, voxels: int | None = None) -> list[dict[str, Any]]:
-        """Lists the best bodies of a size, or of all; at most 1000."""
-        return await self._items("best", limit=limit, **_given(voxels=voxels))
+    async def best(self, limit: int = 10, voxels: int | None = None, *, measure: str | None = None,
+                   order: Literal["descending", "ascending"] | None = None
+                   ) -> list[dict[str, Any]]:
+        """Lists the best bodies of a size, or of all; at most 1000. With `measure`, those with the
+        highest values of a measure, or with the lowest ones in ascending `order`."""
+        return await self._items("best", limit=limit, **_given(voxels=voxels, measure=measure,
+                                                               order=order))
 
     async def similar(self, where: Where, limit: int = 10) -> list[dict[str, Any]]:
         """Lists the bodies within two steps of adding or removing a voxel, the best first."""
@@ -89,10 +93,17 @@ class AsyncStoredAtlas:
         return await self._items("footprints")
 
     async def histogram(self, bins: int = 64, voxels: int | None = None, *,
-                        lo: float | None = None, hi: float | None = None) -> dict[str, Any]:
-        """Counts the bodies of each size by score."""
+                        lo: float | None = None, hi: float | None = None,
+                        measure: str | None = None) -> dict[str, Any]:
+        """Counts the bodies of each size by score, or by a measure."""
         return await self._connection.json(Request.get(
-            f"{self._path}/histogram", bins=bins, **_given(voxels=voxels, lo=lo, hi=hi)))
+            f"{self._path}/histogram", bins=bins,
+            **_given(voxels=voxels, lo=lo, hi=hi, measure=measure)))
+
+    async def map(self, measure: str, bins: int = 64) -> dict[str, Any]:
+        """Compares the scores with a measure: Kendall's τ, and a histogram of both."""
+        return await self._connection.json(Request.get(
+            f"{self._path}/map", measure=measure, bins=bins))
 
     async def compare(self, other: str | AsyncStoredAtlas, bins: int = 64) -> dict[str, Any]:
         """Compares the scores of two atlases: Kendall's τ, and a histogram of both scores."""
@@ -152,13 +163,15 @@ class Atlases:
     async def build_atlas(self, voxels: int, *, task: str | None = None,
                           environments: Environments | None = None,
                           orientations: Literal["images", "canonical"] | None = None,
+                          measures: Literal[True] | Sequence[str] | None = None,
                           name: str | None = None, label: str | None = None,
                           **settings: Any) -> AsyncAtlasBuild:
         """Scores all bodies of at most `voxels` voxels, and keeps the scores in an atlas: a
-        durable job. `settings` are those of the contract, such as `controller` and `physics`."""
+        durable job. `measures` are names, such as `["mean_speed_m_per_s"]`, or True for all: the
+        atlas then has their means. `settings` are those of the contract, such as `controller` and `physics`."""
         value = {"voxels": voxels, **_given(
-            task=task, environments=environments, orientations=orientations, name=name,
-            label=label), **settings}
+            task=task, environments=environments, orientations=orientations, measures=measures,
+            name=name, label=label), **settings}
         return AsyncAtlasBuild(self._connection, await self._connection.json(
             Request.submit("/v1/atlases", value)))
 

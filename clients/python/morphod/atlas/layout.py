@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,11 +19,21 @@ if TYPE_CHECKING:
 
 MAGIC = b"morphod atlas\r\n\0"
 VERSION = 1
+MEASURED = 2
+"""The version of files with measures."""
+MEASURES = (
+    "displacement_m", "path_length_m", "mean_speed_m_per_s", "straightness", "heading_error_rad",
+    "sideways_m", "peak_height_m", "mean_height_m", "tilt_rad", "yaw_rate_rad_per_s", "air_share",
+    "contact_front_share", "contact_back_share", "contact_left_share", "contact_right_share",
+    "hops_per_s", "work_j", "cost_of_transport", "peak_strain", "inverted_voxels")
+"""All measures, in the order of their bits in a file."""
 _ORDER = 0x01020304
 _BLOCK = 4096
+_NO_VALUE = 0x7fc00000
 _VOXELS_OF_WORKSPACE_MAX = 192
 _ENVIRONMENTS_MAX = 64
 _HEAD = struct.Struct("<16s2I3I I 2I 2I 10Q 32s32s32s 64s Q")
+_WORD = struct.Struct("<Q")
 _BLOCK_HEAD = struct.Struct("<2IQ")
 _ORIENTATIONS = ("canonical", "images")
 _REMEDY = "remove it and write the atlas again"
@@ -47,14 +58,16 @@ class Head:
     physics_sha256: str
     environments_sha256: str
     fingerprint: str
+    measures: tuple[str, ...] = ()
+    head_bytes: int = _HEAD.size
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Block:
     """Up to 4096 bodies of one size: arrays that are views of the mapped file, read-only.
 
-    `position` is that of the first body. `keys` (n,) are uint64, `scores` (n,) float32, and
-    `losses` (n, environments) float16.
+    `position` is that of the first body. `keys` (n,) are uint64, `scores` (n,) float32, `losses`
+    (n, environments) float16, and `measures` has float32 (n,) by name.
     """
 
     voxels: int
@@ -62,6 +75,7 @@ class Block:
     keys: NDArray[np.uint64]
     scores: NDArray[np.float32]
     losses: NDArray[np.float16]
+    measures: Mapping[str, NDArray[np.float32]]
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -71,9 +85,10 @@ def _padded(n_bytes: int) -> int:
     return (n_bytes + 7) // 8 * 8
 
 
-def _checked_bytes(n: int, n_environments: int) -> int:
+def _checked_bytes(n: int, head: Head) -> int:
     """Returns the bytes of a block before its checksum."""
-    return _BLOCK_HEAD.size + 8 * n + _padded(4 * n) + _padded(2 * n * n_environments)
+    return (_BLOCK_HEAD.size + 8 * n + _padded(4 * n) + _padded(2 * n * head.n_environments) +
+            _padded(4 * n * len(head.measures)))
 
 
 def _mix(a: int, b: int) -> int:
@@ -106,19 +121,27 @@ def read_head(data: NDArray[np.uint8]) -> Head:
     if order != _ORDER:
         raise AtlasError("the atlas file has another byte order: write it on a little-endian "
                          "machine")
-    if version != VERSION:
-        raise AtlasError(f"the atlas file has version {version}, and this package reads version "
-                         f"{VERSION}: use the package of the program that wrote it")
-    sound = (total == checksum(raw[:-8]) and 1 <= voxels_max <= VOXELS_MAX and
+    if version not in (VERSION, MEASURED):
+        raise AtlasError(f"the atlas file has version {version}, and this package reads versions "
+                         f"{VERSION} and {MEASURED}: use the package of the program that wrote it")
+    bits = 0
+    if version == MEASURED:  # the checksum comes after the measures
+        bits, raw = total, bytes(data[:_HEAD.size + _WORD.size])
+        total = _WORD.unpack(raw[-8:])[0] if len(raw) == _HEAD.size + _WORD.size else -1
+    sound = (total == checksum(raw[:-8]) and (bits > 0) == (version == MEASURED) and 1 <= voxels_max <= VOXELS_MAX and
              nx > 0 and ny > 0 and nz > 0 and nx * ny * nz <= _VOXELS_OF_WORKSPACE_MAX and
              orientations < len(_ORIENTATIONS) and 1 <= n_environments <= _ENVIRONMENTS_MAX and
              block == _BLOCK and environments_bytes % 8 == 0 and b"\0" in fingerprint and
              not any(counts[voxels_max:]) and sum(counts) > 0)
     if not sound:
         raise AtlasError(f"the head of the atlas file is damaged: {_REMEDY}")
+    if bits >> len(MEASURES):
+        raise AtlasError("the atlas file has measures that this package does not know: use the "
+                         "package of the program that wrote it")
     head = Head((nx, ny, nz), voxels_max, _ORIENTATIONS[orientations], n_environments,
                 environments_bytes, tuple(counts[:voxels_max]), controller.hex(), physics.hex(),
-                environments.hex(), fingerprint.partition(b"\0")[0].decode("ascii", "replace"))
+                environments.hex(), fingerprint.partition(b"\0")[0].decode("ascii", "replace"),
+                tuple(name for bit, name in enumerate(MEASURES) if bits >> bit & 1), len(raw))
     should = _begin_of_blocks(head) + sum(
         bytes_of for _, _, _, bytes_of in _blocks(head, _begin_of_blocks(head)))
     if should != len(data):
@@ -128,7 +151,7 @@ def read_head(data: NDArray[np.uint8]) -> Head:
 
 
 def _begin_of_blocks(head: Head) -> int:
-    return _HEAD.size + head.environments_bytes
+    return head.head_bytes + head.environments_bytes
 
 
 def _blocks(head: Head, begin: int) -> Iterator[tuple[int, int, int, int]]:
@@ -136,7 +159,7 @@ def _blocks(head: Head, begin: int) -> Iterator[tuple[int, int, int, int]]:
     for voxels, count in enumerate(head.counts, 1):
         for before in range(0, count, _BLOCK):
             n = min(_BLOCK, count - before)
-            size = _checked_bytes(n, head.n_environments) + 8
+            size = _checked_bytes(n, head) + 8
             yield voxels, n, begin, size
             begin += size
 
@@ -156,16 +179,25 @@ def read_blocks(data: NDArray[np.uint8], head: Head) -> list[Block]:
         scores: NDArray[np.float32] = data[scores_at:scores_at + 4 * n].view("<f4")
         losses: NDArray[np.float16] = data[losses_at:losses_at + 2 * n * head.n_environments].view(
             "<f2").reshape(n, head.n_environments)
-        blocks.append(Block(voxels, position, keys, scores, losses))
+        measures_at = losses_at + _padded(2 * n * head.n_environments)
+        columns = data[measures_at:measures_at + 4 * n * len(head.measures)].view("<f4").reshape(
+            len(head.measures), n)
+        blocks.append(Block(voxels, position, keys, scores, losses,
+                            MappingProxyType(dict(zip(head.measures, columns)))))
         position += n
     return blocks
+
+
+def _are_wrong(values: NDArray[np.float32]) -> bool:
+    """Whether values of a measure are infinite, or another NaN than the one of the format."""
+    return bool((~np.isfinite(values) & (values.view("<u4") != _NO_VALUE)).any())
 
 
 def check_all(data: NDArray[np.uint8], head: Head, blocks: list[Block]) -> None:
     """Checks every byte of a file: checksums, keys that ascend, numbers that are numbers. Raises
     `AtlasError`."""
     begin = _begin_of_blocks(head)
-    if hashlib.sha256(bytes(data[_HEAD.size:begin])).hexdigest() != head.environments_sha256:
+    if hashlib.sha256(bytes(data[head.head_bytes:begin])).hexdigest() != head.environments_sha256:
         raise AtlasError(f"the environments of the atlas file are damaged: {_REMEDY}")
     last: dict[int, np.uint64] = {}
     for block, (voxels, _, at, size) in zip(blocks, _blocks(head, begin)):
@@ -174,5 +206,6 @@ def check_all(data: NDArray[np.uint8], head: Head, blocks: list[Block]) -> None:
             voxels not in last or bool(block.keys[0] > last[voxels]))
         last[voxels] = block.keys[-1]
         if (checksum(raw[:-8]) != struct.unpack("<Q", raw[-8:])[0] or not ascends or
-                np.isnan(block.scores).any() or np.isnan(block.losses).any()):
+                np.isnan(block.scores).any() or np.isnan(block.losses).any() or
+                any(_are_wrong(values) for values in block.measures.values())):
             raise AtlasError(f"a block of the atlas file is damaged or unsorted: {_REMEDY}")

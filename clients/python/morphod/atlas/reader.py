@@ -4,10 +4,11 @@ are those of docs/atlas.md."""
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Union
+from typing import TYPE_CHECKING, Any, Literal, Union
 
 import numpy as np
 
@@ -97,6 +98,7 @@ class Atlas:
         self.voxels_max = head.voxels_max
         self.orientations = head.orientations
         self.n_environments = head.n_environments
+        self.measures = head.measures
         self._blocks = read_blocks(data, head)
         if check:
             check_all(data, head, self._blocks)
@@ -115,6 +117,7 @@ class Atlas:
                            for blocks in of_size]
         self._all_scores: NDArray[np.float32] | None = None
         self._all_keys: NDArray[np.uint64] | None = None
+        self._all_measures: dict[str, NDArray[np.float32]] = {}
         self._orders: dict[int, tuple[NDArray[np.int64], NDArray[np.float32]]] = {}
         self._steps: Steps | None = None
         self._basins: Basins | None = None
@@ -318,6 +321,51 @@ class Atlas:
         """The losses (bodies, environments) of a size, or of all bodies, in one new array."""
         return np.concatenate([block.losses for block in self.blocks(voxels)])
 
+    def measure(self, name: str, where: Where) -> float:
+        """The mean of a measure over the environments (and the images) of a body; NaN: a rollout
+        has no value, for example because it diverged. `measures` has the names."""
+        n, block, i = self._place(self.position(where))
+        return float(self._of_size[n][block].measures[self._known(name)][i])
+
+    def all_measures(self, name: str, voxels: int | None = None) -> NDArray[np.float32]:
+        """A measure of a size, or of all bodies, in one array, a copy that is kept; `blocks` has
+        the arrays of the file itself."""
+        if name not in self._all_measures:
+            values = np.concatenate([block.measures[self._known(name)] for block in self._blocks])
+            values.flags.writeable = False
+            self._all_measures[name] = values
+        span = self.positions(voxels)
+        return self._all_measures[name][span.start:span.stop]
+
+    def measure_percentile(self, name: str, where: Where) -> float:
+        """Of the other bodies with as many voxels that have a value, how many have a lower one, and
+        half of those with an equal one, in percent; 100 if there are no others, NaN if the body has
+        no value."""
+        position = self.position(where)
+        value = np.float32(self.measure(name, position))
+        values = self.all_measures(name, self._place(position)[0])
+        others = int((values == values).sum()) - 1
+        if np.isnan(value):
+            return math.nan
+        lower, equal = int((values < value).sum()), int((values == value).sum()) - 1
+        return 100 * (lower + equal / 2) / others if others else 100.0
+
+    def best_by(self, name: str, k: int = 1, voxels: int | None = None, *,
+                order: Literal["descending", "ascending"] = "descending") -> NDArray[np.int64]:
+        """The positions of the k bodies with the highest values of a measure, or with the lowest;
+        of equal values the lowest position. Bodies without a value come last."""
+        if order not in ("descending", "ascending"):
+            raise ValueError(f"order is descending or ascending, not {order!r}")
+        values = self.all_measures(name, voxels)
+        found = np.argsort(-values if order == "descending" else values, kind="stable")[:k]
+        return found.astype(np.int64) + self.positions(voxels).start
+
+    def _known(self, name: str) -> str:
+        if name in self.measures:
+            return name
+        raise KeyError(f"the atlas does not have the measure {name!r}; it has "
+                       f"{', '.join(self.measures) or 'none'}")
+
     def order(self, voxels: int | None = None) -> NDArray[np.int64]:
         """The positions of a size, or of all bodies, the best first; of equal scores the lowest
         position."""
@@ -347,13 +395,16 @@ class Atlas:
         """The positions of the k best bodies, or as many as there are."""
         return self.order(voxels)[:k]
 
-    def histogram(self, edges: ArrayLike, voxels: int | None = None) -> NDArray[np.int64]:
-        """Counts the bodies with edges[i] ≤ score < edges[i + 1]. edges: ascending; they are
-        rounded to float32, as scores are."""
+    def histogram(self, edges: ArrayLike, voxels: int | None = None, *,
+                  measure: str | None = None) -> NDArray[np.int64]:
+        """Counts the bodies with edges[i] ≤ score < edges[i + 1], or by a measure. edges:
+        ascending; they are rounded to float32, as scores are."""
         bounds = np.asarray(edges, dtype=np.float32)
         if bounds.ndim != 1 or len(bounds) < 2 or not (bounds[1:] >= bounds[:-1]).all():
             raise ValueError("edges are at least two ascending numbers")
-        return np.diff(np.searchsorted(self._sorted(voxels)[1], bounds))
+        ordered = (self._sorted(voxels)[1] if measure is None
+                   else np.sort(self.all_measures(measure, voxels)))
+        return np.diff(np.searchsorted(ordered, bounds))
 
     def footprints(self) -> dict[int, tuple[int, int]]:
         """For each footprint (columns with a voxel): the number of bodies, and the position of the
@@ -467,6 +518,13 @@ class Atlas:
         # Positions begin with the smallest sizes, so common bodies have common positions.
         common = min(len(self), len(other))
         return compared(self.scores()[:common], other.scores()[:common], bins)
+
+    def map(self, measure: str, *, bins: int = 64) -> Comparison:
+        """Compares the scores with a measure, over the bodies that have a value: Kendall's τ, and
+        a histogram of score (`edges`) and measure (`other_edges`)."""
+        values = self.all_measures(measure)
+        known = ~np.isnan(values)
+        return compared(self.scores()[known], values[known], bins)
 
 
 def _checked(steps: Iterable[str]) -> set[str]:
