@@ -100,7 +100,8 @@ class Plain:
         self.controller, self.physics = data[136:168].hex(), data[168:200].hex()
         self.counts = [n for n in counts if n]
         self.voxels, self.scores, self.losses = [], [], []
-        version, bits = struct.unpack_from("<I", data, 20)[0], struct.unpack_from("<Q", data, 296)[0]
+        version, = struct.unpack_from("<I", data, 20)
+        bits, = struct.unpack_from("<Q", data, 296)
         self.measures = {name: [] for m, name in enumerate(MEASURES)
                          if version == 2 and bits >> m & 1}
         at = (312 if version == 2 else 304) + environments_bytes
@@ -191,10 +192,12 @@ class Plain:
         """Returns the body as replies have it."""
         rank, percentile = self.rank(position)
         bits, score = self.bits(position), self.scores[position]
-        measures = {"measures": {name: None if math.isnan(values[position]) else
-                                 shortest(values[position])
-                                 for name, values in self.measures.items()}} if self.measures else {}
-        return measures | {"id": f"{int(bits, 2):036x}", "voxels": len(self.voxels[position]),
+        body = {"id": f"{int(bits, 2):036x}", "voxels": len(self.voxels[position]),
                 "genotype": bits, "position": position,
                 "score": shortest(score), "diverged": score == INFINITY,
                 "rank": rank, "percentile": percentile}
+        if self.measures:
+            body["measures"] = {
+                name: None if math.isnan(values[position]) else shortest(values[position])
+                for name, values in self.measures.items()}
+        return body

@@ -9,6 +9,7 @@ import struct
 import numpy
 import pytest
 
+from atlases import MEASURES
 from ctl import ctl  # noqa: F401
 from service import Service, await_end, awaited, until
 from test_devices import FLAGS, fake
@@ -17,11 +18,6 @@ WORLDS = [{"task": "walk"}, {"light_xy_m": [4, 2.5], "terrain_sigma_m": 0.05, "s
           {"task": "circle", "terrain": {"kind": "stairs-up"}}]
 REQUEST = {"voxels": 4, "environments": WORLDS, "physics": {"n_steps": 60}}
 COUNTS = [1, 2, 5, 21]
-MEASURES = ["displacement_m", "path_length_m", "mean_speed_m_per_s", "straightness",
-            "heading_error_rad", "sideways_m", "peak_height_m", "mean_height_m", "tilt_rad",
-            "yaw_rate_rad_per_s", "air_share", "contact_front_share", "contact_back_share",
-            "contact_left_share", "contact_right_share", "hops_per_s", "work_j",
-            "cost_of_transport", "peak_strain", "inverted_voxels"]
 ENDED = ("succeeded", "failed", "cancelled")
 
 
@@ -182,11 +178,13 @@ def means_of(service, robots, value, measures):
                "environments": value["environments"], "measures": measures}
     results = service.evaluate(request, wait=60).json()["results"]
     names = list(results[0]["measures"])
-    number = lambda shown: numpy.nan if shown is None else shown  # noqa: E731
-    return (names, [[[number(cell["measures"][name]) for name in names] for cell in result["losses"]]
-                    for result in results],
-            [[number(result["measures"][name]) for name in names] for result in results],
-            [result["genotype"] for result in results])
+
+    def row(of):
+        return [numpy.nan if of["measures"][name] is None else of["measures"][name]
+                for name in names]
+
+    return (names, [[row(cell) for cell in result["losses"]] for result in results],
+            [row(result) for result in results], [result["genotype"] for result in results])
 
 
 @pytest.mark.parametrize("orientations", ("images", "canonical"))
@@ -195,7 +193,7 @@ def test_measures_are_those_of_evaluations(service, orientations, measures):
     """The means of measures, bit for bit as float32."""
     value = REQUEST | {"orientations": orientations}
     job = build(service, value | {"measures": measures})
-    named = MEASURES if measures is True else sorted(measures, key=MEASURES.index)
+    named = list(MEASURES) if measures is True else sorted(measures, key=MEASURES.index)
     assert job["atlas"]["measures"] == named
     measured = Atlas(file_of(service, job["atlas"]["name"]))
     assert measured.names == named
@@ -323,7 +321,8 @@ def test_keys(service):
     ({"environments": "morpho-12"}, "/environments"), ({"orientations": "best"}, "/orientations"),
     ({"priority": "interactive"}, "/priority"), ({"controller": "nobody"}, "/controller"),
     ({"measures": ["speed"]}, "/measures/0"), ({"measures": []}, "/measures"),
-    ({"measures": 3}, "/measures"), ({"physics": {"dt_s": -1}}, "/physics/dt_s"), ({"designs": []}, "/designs")])
+    ({"measures": 3}, "/measures"), ({"physics": {"dt_s": -1}}, "/physics/dt_s"),
+    ({"designs": []}, "/designs")])
 def test_refusals(service, change, pointer):
     reply = service.request("POST", "/v1/atlases", REQUEST | change)
     assert reply.status == 422 and reply.pointers() == [pointer], reply.body

@@ -1,5 +1,5 @@
-"""Atlases with measures: what bodies have, the order of a measure, histograms and maps, compared with
-a plain reading of the file."""
+"""Atlases with measures: what bodies have, the order of a measure, histograms and maps, compared
+with a plain reading of the file."""
 
 import itertools
 import json

@@ -12,6 +12,7 @@ import threading
 import pytest
 from selenium.webdriver.common.keys import Keys
 
+import atlases
 from browser import Browser
 from contract import SOURCE
 from service import DESIGN
@@ -366,6 +367,96 @@ def see_the_page(service, browser):
     browser.until("document.querySelector('#toast').innerText.includes('Out of order')")
     browser.open("atlas/page-other")
     browser.until("/^It does not walk: /.test(document.querySelector('.walk-words').innerText)")
+
+
+SPEED = "mean_speed_m_per_s"
+# Asks the reader of files about measures.
+ASK_MEASURES = """
+const [name, done] = arguments;
+(async () => {
+  const { AtlasFile } = await import(new URL('lib/atlas_file.js', location.href));
+  const atlas = new AtlasFile(await (await fetch('bodies.atlas')).arrayBuffer(), 'measured');
+  const bodies = [];
+  for (let i = 0; i < atlas.n; i++) {
+    const { genotype, measures } = await atlas.at(i);
+    const { of_size: own } = await atlas.body(genotype);
+    bodies.push([measures, own.measures]);
+  }
+  const positions = ({ items }) => items.map((one) => one.position);
+  done({ bodies, measures: (await atlas.about()).measures,
+    all: positions(await atlas.best({ measure: name, limit: 1000 })),
+    some: positions(await atlas.best({ measure: name, voxels: 5, lo: -1, hi: 2 })),
+    histogram: await atlas.histogram({ measure: name, bins: 7 }) });
+})().catch((error) => done(String(error)));
+"""
+
+
+@pytest.fixture(scope="module")
+def measured():
+    return atlases.file_of(levels=300, measures=("displacement_m", SPEED))
+
+
+def choose_the_axis(page, plain):
+    """The map goes by a measure after one choice, and lists the bodies of a place."""
+    assert page.texts("[aria-label=Map] h2") == ["All bodies by score and size"]
+    page.run("const e = document.querySelector('[aria-label=Axis]');"
+             f"e.value = '{SPEED}'; e.dispatchEvent(new Event('change'))")
+    page.until(f"document.querySelector('[aria-label=Map] h2').innerText.includes('{SPEED}')")
+    without = sum(value != value for value in plain.measures[SPEED])
+    assert f"{without} bodies have no value" in page.texts("[aria-label=Map] p")[0]
+    page.run("const e = document.querySelector('[aria-label=Map] canvas'); e.focus();"
+             "for (const key of ['ArrowUp', 'ArrowUp', 'ArrowUp', 'ArrowUp', 'ArrowLeft'])"
+             "  e.dispatchEvent(new KeyboardEvent('keydown', { key, bubbles: true }));")
+    page.until(f"document.querySelector('[aria-label=Map] p').innerText.includes('with {SPEED}')")
+    words = page.texts("[aria-label=Map] p")[0]
+    lo, hi = (float(text) for text in words.split(": ")[0].split(" from ")[1].split(" to "))
+    ids = page.run("return [...document.querySelectorAll('[aria-label=Map] .card')]"
+                   ".map((e) => e.dataset.id)")
+    found = {plain.body(i)["id"]: plain.measures[SPEED][i] for i in range(124)}
+    assert ids and all(lo - 0.01 <= found[id] <= hi + 0.01 for id in ids), (words, ids)
+    shown = page.texts(".atlas-numbers dl:nth-of-type(2) dt")
+    assert shown == ["displacement_m", SPEED]
+    assert "of its size" in page.texts(".atlas-numbers dl:nth-of-type(2) dd")[0]
+    assert page.run(ACCESSIBILITY) == []
+
+
+def test_measures_in_a_site(measured, tmp_path):
+    """Every number of the reader is that of a plain reading; the axis of the map can be chosen."""
+    plain = atlases.Plain(measured)
+    (tmp_path / "a.atlas").write_bytes(measured)
+    made = make_site("--name", "measured", tmp_path / "a.atlas", tmp_path / "site")
+    assert made.returncode == 0, made.stderr
+    with served(tmp_path / "site") as server, contextlib.ExitStack() as at_the_end:
+        page = Browser(server)
+        at_the_end.callback(page.quit)
+        visit(page)
+        page.driver.set_script_timeout(120)
+        found = page.driver.execute_async_script(ASK_MEASURES, SPEED)
+        assert isinstance(found, dict), found
+        assert found["measures"] == list(plain.measures)
+        for i, (values, percentiles) in enumerate(found["bodies"]):
+            assert values == pytest.approx(plain.body(i)["measures"], rel=1e-6)
+            assert percentiles == pytest.approx(
+                {name: plain.percentile(name, i) for name in plain.measures})
+        values = plain.measures[SPEED]
+        known = [i for i in plain.by(SPEED, True, range(124)) if values[i] == values[i]]
+        assert found["all"] == known
+        assert found["some"] == [i for i in known if -1 <= values[i] < 2 and i >= 29]
+        histogram = found["histogram"]
+        assert sum(map(sum, histogram["counts"])) == len(known)
+        assert sum(histogram["outside"]) == 124 - len(known)
+        choose_the_axis(page, plain)
+        assert page.faults() == []
+
+
+def test_measures_of_a_service(service, browser, measured):
+    with deleted(service, "page-measured"):
+        reply = service.request("PUT", "/v1/atlases/page-measured/file", body=measured,
+                                headers={"Content-Type": "application/octet-stream"})
+        assert reply.status == 201, reply.body
+        browser.open("atlas/page-measured")
+        browser.until("document.querySelector('.better-than')")
+        choose_the_axis(browser, atlases.Plain(measured))
 
 
 def test_builds_are_shown(service, browser):

@@ -9,8 +9,15 @@
  */
 
 const MAGIC = 'morphod atlas\r\n\0';
-const VERSION = 1;
+/** Without and with measures. */
+const VERSIONS = [1, 2];
 const HEAD = 304;
+/** All measures, in the order of their bits in a file (include/morpho/measure.h). */
+const MEASURES = ['displacement_m', 'path_length_m', 'mean_speed_m_per_s', 'straightness',
+  'heading_error_rad', 'sideways_m', 'peak_height_m', 'mean_height_m', 'tilt_rad',
+  'yaw_rate_rad_per_s', 'air_share', 'contact_front_share', 'contact_back_share',
+  'contact_left_share', 'contact_right_share', 'hops_per_s', 'work_j', 'cost_of_transport',
+  'peak_strain', 'inverted_voxels'];
 const BLOCK_HEAD = 16;
 const VOXELS_MAX = 10;
 const GUIDES = ['fixed', 'ahead', 'turning', 'path', 'moving'];
@@ -52,6 +59,17 @@ function after(number) {
   return next[0];
 }
 
+/** Returns how many of sorted numbers are lower. */
+function countBelow(sorted, number) {
+  let [low, high] = [0, sorted.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (sorted[middle] < number) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
 /** Whether a body comes before another one: the better score, of equal ones the lower position. */
 const isBefore = (score, position, otherScore, other) =>
   score < otherScore || (score === otherScore && position < other);
@@ -70,9 +88,14 @@ export class AtlasFile {
     const magic = buffer.byteLength >= HEAD
       ? String.fromCharCode(...new Uint8Array(buffer, 0, MAGIC.length)) : '';
     if (magic !== MAGIC) refuse('is not an atlas: it does not begin like one.');
-    if (view.getUint32(16, true) !== 0x01020304 || view.getUint32(20, true) !== VERSION) {
-      refuse(`has version ${view.getUint32(20, true)} of the format; this page reads ${VERSION}.`);
+    const version = view.getUint32(20, true);
+    if (view.getUint32(16, true) !== 0x01020304 || !VERSIONS.includes(version)) {
+      refuse(`has version ${version} of the format; this page reads ${VERSIONS.join(' and ')}.`);
     }
+    const bits = version > 1 ? Number(view.getBigUint64(HEAD - 8, true)) : 0;
+    if (bits >= 2 ** MEASURES.length) refuse('has measures that this page does not know.');
+    this.measures = MEASURES.filter((_, m) => bits >> m & 1);
+    const head = version > 1 ? HEAD + 8 : HEAD;
     this.sides = [24, 28, 32].map((at) => view.getUint32(at, true));
     this.voxelsMax = view.getUint32(36, true);
     this.orientations = ['canonical', 'images'][view.getUint32(40, true)];
@@ -90,7 +113,7 @@ export class AtlasFile {
     this.controller = hex(136);
     this.physics = hex(168);
     this.environments = [];
-    for (let i = 0, at = HEAD; i < this.nEnvironments; i++) {
+    for (let i = 0, at = head; i < this.nEnvironments; i++) {
       this.environments.push({ task: taskOfPacked(view, at + 8, view.getUint32(at, true)) });
       at += 8 + align(view.getUint32(at + 4, true));
     }
@@ -98,7 +121,9 @@ export class AtlasFile {
     this.scores = new Float32Array(this.n);
     /** Where the losses of each body are. */
     this.lossesAt = new Float64Array(this.n);
-    let at = HEAD + environmentBytes;
+    /** By measure; NaN: the body has no value. */
+    this.values = Object.fromEntries(this.measures.map((name) => [name, new Float32Array(this.n)]));
+    let at = head + environmentBytes;
     for (let n = 1; n <= VOXELS_MAX; n++) {
       for (let done = 0; done < this.counts[n]; done += blockBodies) {
         at = this.#readBlock(view, at, this.firsts[n] + done,
@@ -114,13 +139,17 @@ export class AtlasFile {
   #readBlock(view, at, first, n, refuse) {
     const scores = at + BLOCK_HEAD + 8 * n;
     const losses = scores + align(4 * n);
-    const end = losses + align(2 * n * this.nEnvironments) + 8; // a checksum
+    const measures = losses + align(2 * n * this.nEnvironments);
+    const end = measures + align(4 * n * this.measures.length) + 8; // a checksum
     if (end > view.byteLength) refuse('is truncated.');
     for (let i = 0; i < n; i++) {
       const key = at + BLOCK_HEAD + 8 * i;
       this.keys[first + i] = view.getUint32(key, true) + 2 ** 32 * view.getUint32(key + 4, true);
       this.scores[first + i] = view.getFloat32(scores + 4 * i, true);
       this.lossesAt[first + i] = losses + 2 * i * this.nEnvironments;
+      this.measures.forEach((name, m) => {
+        this.values[name][first + i] = view.getFloat32(measures + 4 * (m * n + i), true);
+      });
     }
     return end;
   }
@@ -354,6 +383,28 @@ export class AtlasFile {
       percentile: n > 1 ? 100 * (worse + (n - better - worse - 1) / 2) / (n - 1) : 100 };
   }
 
+  /** Returns the measures of a body, as replies have them: {name: number or null}. */
+  #measuresOf(use) {
+    return this.measures.length ? { measures: Object.fromEntries(this.measures.map((name) => {
+      const value = use(name);
+      return [name, Number.isNaN(value) ? null : value];
+    })) } : {};
+  }
+
+  /** Returns the percentile of a measure among the bodies of the size; NaN: it has no value. */
+  #percentileOf(name, position) {
+    const size = this.sizeOf(position);
+    const value = this.values[name][position];
+    let [lower, equal, others] = [0, -1, -1]; // without the body itself
+    for (let i = this.firsts[size]; i < this.firsts[size + 1]; i++) {
+      const other = this.values[name][i];
+      lower += Number(other < value);
+      equal += Number(other === value);
+      others += Number(!Number.isNaN(other));
+    }
+    return Number.isNaN(value) ? NaN : others ? 100 * (lower + equal / 2) / others : 100;
+  }
+
   #bodyAt(position) {
     const voxels = new Array(this.voxels).fill('0');
     const [, ny, nz] = this.sides;
@@ -365,7 +416,7 @@ export class AtlasFile {
       id: genotype.match(/.{4}/g).map((four) => parseInt(four, 2).toString(16)).join(''),
       voxels: this.sizeOf(position), genotype, position,
       score: Number.isFinite(score) ? score : null, diverged: !Number.isFinite(score), rank,
-      percentile,
+      percentile, ...this.#measuresOf((name) => this.values[name][position]),
     };
   }
 
@@ -387,7 +438,7 @@ export class AtlasFile {
     return {
       name: this.name, voxels_max: this.voxelsMax, orientations: this.orientations,
       controller: this.controller, physics: this.physics, environments: this.environments,
-      bodies: this.n,
+      measures: this.measures, bodies: this.n,
       best: this.#bodyAt(this.sorted[0][0]),
       sizes: this.sorted.slice(1, this.voxelsMax + 1).map((sorted, i) => ({
         voxels: i + 1, bodies: sorted.length, best: this.#bodyAt(sorted[0]),
@@ -401,7 +452,8 @@ export class AtlasFile {
     const size = this.sizeOf(position);
     const neighbors = this.neighborsOf(position, ['add', 'remove', 'move']);
     return {
-      ...this.#bodyAt(position), of_size: this.#rankOf(position, size),
+      ...this.#bodyAt(position), of_size: { ...this.#rankOf(position, size),
+        ...this.#measuresOf((name) => this.#percentileOf(name, position)) },
       losses: Array.from({ length: this.nEnvironments }, (_, e) => {
         const loss = unpackLoss(this.view.getUint16(this.lossesAt[position] + 2 * e, true));
         return Number.isFinite(loss) ? loss : null;
@@ -423,8 +475,21 @@ export class AtlasFile {
     return { items, bodies_on_path: items.length, optimum: items.at(-1) };
   }
 
-  /** Returns the best bodies of a size, or of all, and counts them: those with lo ≤ score < hi. */
-  async best({ voxels = 0, lo = -Infinity, hi = NaN, limit = 100 } = {}) {
+  /** Returns the positions of a size (0: all) with lo ≤ value < hi, the highest value first. */
+  #highest(size, name, lo, hi) {
+    const values = this.values[name];
+    return [...this.sorted[size]].filter((i) => values[i] >= lo && values[i] < hi)
+      .sort((a, b) => values[b] - values[a] || a - b);
+  }
+
+  /** Returns the best bodies of a size, or of all, and counts them: those with lo ≤ score < hi.
+   * With a measure, those with lo ≤ value < hi, the highest first. */
+  async best({ voxels = 0, lo = -Infinity, hi = NaN, limit = 100, measure = undefined } = {}) {
+    if (measure) {
+      const found = this.#highest(voxels, measure, lo, Number.isNaN(hi) ? Infinity : hi);
+      return { bodies: found.length,
+        items: found.slice(0, limit).map((position) => this.#bodyAt(position)) };
+    }
     const from = this.#count(voxels, lo, false);
     const end = Number.isNaN(hi) ? this.sorted[voxels].length : this.#count(voxels, hi, false);
     return { bodies: Math.max(0, end - from),
@@ -432,21 +497,25 @@ export class AtlasFile {
         .map((position) => this.#bodyAt(position)) };
   }
 
-  /** Counts the bodies of each size by score: counts[size − 1][i] have edge i ≤ score < edge
-   * i + 1. Without `hi`, the highest finite score is in the last bin. */
-  async histogram({ bins = 64, lo = NaN, hi = NaN } = {}) {
-    const all = this.sorted[0];
-    const from = !Number.isNaN(lo) ? lo : this.scores[all[0]];
-    let last = all.length - 1;
-    while (last > 0 && !Number.isFinite(this.scores[all[last]])) last--;
-    const to = !Number.isNaN(hi) ? hi : after(this.scores[all[last]]);
+  /** Counts the bodies of each size by score, or by a measure: counts[size − 1][i] have edge i ≤
+   * score < edge i + 1, `outside` are in no bin. Without `hi`, the highest finite score is in the
+   * last bin. */
+  async histogram({ bins = 64, lo = NaN, hi = NaN, measure = undefined } = {}) {
+    const numbers = measure ? this.values[measure] : this.scores;
+    const sorted = Array.from({ length: this.voxelsMax + 1 }, (_, size) =>
+      Float32Array.from(this.sorted[size], (i) => numbers[i]).filter(Number.isFinite).sort());
+    const [all] = sorted;
+    const from = !Number.isNaN(lo) ? lo : all[0] ?? 0;
+    const to = !Number.isNaN(hi) ? hi : all.length ? after(all.at(-1)) : 1;
     const edges = Array.from({ length: bins + 1 }, (_, i) => from + (to - from) * i / bins);
     edges[bins] = to;
     const sizes = Array.from({ length: this.voxelsMax }, (_, i) => i + 1);
-    return { edges, sizes, counts: sizes.map((size) => {
-      const below = edges.map((edge) => this.#count(size, edge, false));
+    const counts = sizes.map((size) => {
+      const below = edges.map((edge) => countBelow(sorted[size], edge));
       return below.slice(1).map((n, i) => n - below[i]);
-    }) };
+    });
+    return { edges, sizes, counts, outside: sizes.map((size, i) =>
+      this.counts[size] - counts[i].reduce((sum, n) => sum + n, 0)) };
   }
 
   /** Returns the local optima with the largest basins, and how many there are. */

@@ -32,12 +32,12 @@ export class AtlasHttp {
     return this.#get('/ascent', { design }, signal);
   }
 
-  best({ voxels, lo, hi, limit = 100, signal } = NONE) {
-    return this.#get('/best', { voxels, lo, hi, limit }, signal);
+  best({ voxels, lo, hi, limit = 100, measure, signal } = NONE) {
+    return this.#get('/best', { voxels, lo, hi, limit, measure }, signal);
   }
 
-  histogram({ bins = 64, lo, hi, signal } = NONE) {
-    return this.#get('/histogram', { bins, lo, hi }, signal);
+  histogram({ bins = 64, lo, hi, measure, signal } = NONE) {
+    return this.#get('/histogram', { bins, lo, hi, measure }, signal);
   }
 
   optima({ limit = 24, signal } = NONE) {

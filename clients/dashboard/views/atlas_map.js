@@ -1,8 +1,8 @@
-/** The density map of an atlas: how many bodies of each size have which score. A drag, a click or
- * the arrow keys select a range of scores of one size, and its bodies are shown. */
+/** The density map of an atlas: how many bodies of each size have which score, or which value of a
+ * measure. A drag, a click or the arrow keys select a range of one size, and show its bodies. */
 
-import { fill, h, paint, patch, say } from '../lib/dom.js';
-import { count, countOf, score, voxels } from '../lib/format.js';
+import { choice, fill, h, paint, patch, say } from '../lib/dom.js';
+import { count, countOf, number, score, voxels } from '../lib/format.js';
 import { ticks } from '../lib/chart.js';
 
 const BINS = 72;
@@ -38,22 +38,24 @@ export class AtlasMap {
   /** @param {any} page of an atlas */
   constructor(page) {
     this.page = page;
-    const { sizes } = page.about;
+    const { sizes, measures = [] } = page.about;
+    /** What the axis shows; '': the score. */
+    this.measure = '';
     this.rows = sizes.length;
     this.canvas = h('canvas', {
       tabindex: 0, role: 'application', 'aria-roledescription': 'density map',
-      'aria-label': 'Bodies by score and size. Up and down choose a size, left and right scores; ' +
-        'with Shift, a range grows. The bodies are listed below.',
     });
     this.canvas.style.height = `${TOP_PX + ROW_PX * this.rows + AXIS_PX}px`;
-    this.words = h('p.muted', { role: 'status' }, 'Click a place, or drag over some, to see the ' +
-      'bodies there.');
+    this.words = h('p.muted', { role: 'status' });
     this.list = h('div.strip.wraps');
-    this.element = h('section.panel.stack', { 'aria-label': 'Map' }, h('div.row', {},
-      h('h2', {}, 'All bodies by score and size'), h('span.muted.legend', {}, h('span', {},
+    this.title = h('h2');
+    this.element = h('section.panel.stack', { 'aria-label': 'Map' }, h('div.row', {}, this.title,
+      measures.length ? choice('Axis', ['score', ...measures], 'score', (name) =>
+        this.#load(name === 'score' ? '' : name)) : null, h('span.muted.legend', {}, h('span', {},
         h('i.swatch.here'), 'your body'), h('span', {}, h('i.swatch.top'), 'best of its size'))),
     this.canvas, this.words, this.list);
     this.turn = 0;
+    this.loads = 0;
     /** Where the axis begins, in pixels. */
     this.left = 0;
     this.resize = new ResizeObserver(() => this.#draw());
@@ -65,22 +67,48 @@ export class AtlasMap {
     listen('pointermove', (event) => this.#move(event));
     for (const type of ['pointerup', 'pointercancel']) listen(type, () => { this.isHeld = false; });
     listen('keydown', (event) => this.#key(event));
-    this.#load();
+    this.#name('');
+    this.#load('');
   }
 
-  async #load() {
+  /** Shows the scores, or a measure. */
+  async #load(measure) {
     const { atlas } = this.page;
+    const turn = ++this.loads;
+    const histogram = (range) => atlas.histogram({ bins: FINE, measure: measure || undefined,
+      ...range });
     try {
-      const all = await atlas.histogram({ bins: FINE });
+      const all = await histogram({});
       const cut = cutOf(all.edges[0], all.edges.at(-1));
+      const parts = cut ? await Promise.all([histogram({ hi: cut }), histogram({ lo: cut })]) : [];
+      if (turn !== this.loads) return;
+      this.turn++; // bodies that are still to come are of another axis
+      this.selected = this.last = this.anchor = undefined;
+      fill(this.list);
+      this.#name(measure, measure ? all.outside.reduce((sum, n) => sum + n, 0) : 0);
       if (!cut) return this.#bin(all);
-      const [low, high] = await Promise.all([atlas.histogram({ bins: FINE, hi: cut }),
-        atlas.histogram({ bins: FINE, lo: cut })]);
+      const [low, high] = parts;
       this.#bin({ edges: [...low.edges, ...high.edges.slice(1)],
         counts: low.counts.map((row, i) => [...row, ...high.counts[i]]) });
     } catch (error) {
-      say(this.words, error.message);
+      if (turn === this.loads) say(this.words, error.message);
     }
+  }
+
+  /** Says what the axis shows, and how many bodies it lacks. */
+  #name(measure, without = 0) {
+    this.measure = measure;
+    const what = `odies by ${measure || 'score'} and size`;
+    say(this.title, `All b${what}`);
+    this.canvas.setAttribute('aria-label', `B${what}. Up and down choose a size, left and right ` +
+      'a range, which grows with Shift. The bodies are listed below.');
+    say(this.words, 'Click a place, or drag over some, to see the bodies there.' +
+      `${without ? ` ${countOf(without, 'body has', 'bodies have')} no value.` : ''}`);
+  }
+
+  /** Returns what the axis shows of a body; null: it has none. */
+  #of(body) {
+    return this.measure ? body.measures[this.measure] : body.score;
   }
 
   /** Counts again in the bins of the map. They begin where fine ones do, so that each has exactly
@@ -171,9 +199,10 @@ export class AtlasMap {
       context.fillText(String(Number(value.toPrecision(3))), x, bottom + 13);
     }
     context.textAlign = 'left';
-    context.fillText('◂ better', this.left, bottom + 27);
+    if (!this.measure) context.fillText('◂ better', this.left, bottom + 27);
     context.textAlign = 'right';
-    context.fillText(this.isLog ? 'score, logarithmic' : 'score', width - RIGHT_PX, bottom + 27);
+    context.fillText(`${this.measure || 'score'}${this.isLog ? ', logarithmic' : ''}`,
+      width - RIGHT_PX, bottom + 27);
   }
 
   #drawMarks(context, width, color) {
@@ -187,8 +216,9 @@ export class AtlasMap {
       context.strokeStyle = color('--panel');
       context.stroke();
     };
-    this.page.about.sizes.forEach(({ best }, row) => dot(best.score, row, color('--green'), 4.5));
-    if (this.body) dot(this.body.score, this.body.voxels - 1, color('--mark'), 7);
+    this.page.about.sizes.forEach(({ best }, row) => dot(this.#of(best), row, color('--green'),
+      4.5));
+    if (this.body) dot(this.#of(this.body), this.body.voxels - 1, color('--mark'), 7);
   }
 
   // ---- selecting ----
@@ -257,11 +287,14 @@ export class AtlasMap {
     const turn = ++this.turn;
     const [lo, hi] = [this.edges[from], this.edges[to + 1]];
     try {
+      const { measure } = this;
       const { items, bodies } = await this.page.atlas.best({ voxels: row + 1, lo, hi,
-        limit: SHOWN });
+        measure: measure || undefined, limit: SHOWN });
       if (turn !== this.turn) return;
-      say(this.words, `${countOf(bodies, 'body', 'bodies')} of ${voxels(row + 1)} with scores ` +
-        `from ${score(lo)} to ${score(hi)}${bodies > SHOWN ? `: the best ${count(SHOWN)}` : ''}`);
+      const shown = measure ? (value) => number(value, 4) : score;
+      say(this.words, `${countOf(bodies, 'body', 'bodies')} of ${voxels(row + 1)} with ` +
+        `${measure || 'scores'} from ${shown(lo)} to ${shown(hi)}${bodies > SHOWN
+          ? `: the ${measure ? 'highest' : 'best'} ${count(SHOWN)}` : ''}`);
       patch(this.list, items.map((one, i) => ({ one, i })), ({ i }) => i,
         ({ one }) => this.page.card(one), (card, { one }) => this.page.fillCard(card, one));
     } catch (error) {
@@ -271,6 +304,7 @@ export class AtlasMap {
 
   destroy() {
     this.turn++;
+    this.loads++;
     this.resize.disconnect();
     this.page.app.themeListeners.delete(this.onTheme);
   }

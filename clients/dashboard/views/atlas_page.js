@@ -6,7 +6,7 @@
 
 import { cellsOf, robotOf } from '../lib/body.js';
 import { announce, fill, h } from '../lib/dom.js';
-import { count, countOf, score, voxels } from '../lib/format.js';
+import { count, countOf, number, score, voxels } from '../lib/format.js';
 import { isBody } from '../lib/history.js';
 import { nameOf, shortOf } from '../lib/names.js';
 import { picture } from '../lib/picture.js';
@@ -213,6 +213,9 @@ export class AtlasPage {
       h('div', {}, h('dt', {}, `among ${count(own.bodies)} of ${voxels(body.voxels)}`),
         h('dd', {}, own.rank === 1 ? '1: the best' : `${count(own.rank)}, better than ` +
           shareOf(own.percentile)))),
+    body.measures ? h('dl', {}, Object.entries(body.measures).map(([measure, value]) => h('div', {},
+      h('dt', {}, measure), h('dd', {}, value === null ? 'no value' : [number(value, 4),
+        h('span.muted', {}, `, above ${shareOf(own.measures[measure])} of its size`)])))) : null,
     h('div.row', {}, h('span.muted', { title: body.id }, `${name} `,
       h('code', {}, shortOf(body.id))), this.links(this.body)));
   }

@@ -168,7 +168,8 @@ class Atlases:
                           **settings: Any) -> AsyncAtlasBuild:
         """Scores all bodies of at most `voxels` voxels, and keeps the scores in an atlas: a
         durable job. `measures` are names, such as `["mean_speed_m_per_s"]`, or True for all: the
-        atlas then has their means. `settings` are those of the contract, such as `controller` and `physics`."""
+        atlas then has their means. `settings` are those of the contract, such as `controller` and
+        `physics`."""
         value = {"voxels": voxels, **_given(
             task=task, environments=environments, orientations=orientations, measures=measures,
             name=name, label=label), **settings}

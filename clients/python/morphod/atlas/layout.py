@@ -127,8 +127,11 @@ def read_head(data: NDArray[np.uint8]) -> Head:
     bits = 0
     if version == MEASURED:  # the checksum comes after the measures
         bits, raw = total, bytes(data[:_HEAD.size + _WORD.size])
-        total = _WORD.unpack(raw[-8:])[0] if len(raw) == _HEAD.size + _WORD.size else -1
-    sound = (total == checksum(raw[:-8]) and (bits > 0) == (version == MEASURED) and 1 <= voxels_max <= VOXELS_MAX and
+        if len(raw) < _HEAD.size + _WORD.size:
+            raise AtlasError(f"the atlas file is truncated: {_REMEDY}")
+        total, = _WORD.unpack(raw[-8:])
+    sound = (total == checksum(raw[:-8]) and (bits > 0) == (version == MEASURED) and
+             1 <= voxels_max <= VOXELS_MAX and
              nx > 0 and ny > 0 and nz > 0 and nx * ny * nz <= _VOXELS_OF_WORKSPACE_MAX and
              orientations < len(_ORIENTATIONS) and 1 <= n_environments <= _ENVIRONMENTS_MAX and
              block == _BLOCK and environments_bytes % 8 == 0 and b"\0" in fingerprint and
