@@ -141,7 +141,7 @@ void mo_atlas_losses(const struct mo_atlas *atlas, uint64_t position, float *los
 float mo_atlas_measure(const struct mo_atlas *atlas, uint64_t position, enum mo_measure measure);
 /* Returns of how many of the other bodies of the same size the measure is lower, and half of those
  * with an equal one, in percent of those with a value; 100 if there are no others, NaN if the body
- * has no value. Reads the measure of all bodies of the size: of 899,126, in 0.3 ms. */
+ * has no value. Reads the measure of all bodies of the size: of 899,126, in 0.2 ms. */
 double mo_atlas_measure_percentile(const struct mo_atlas *atlas, uint64_t position,
                                    enum mo_measure measure);
 
