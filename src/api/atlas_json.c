@@ -174,7 +174,7 @@ bool mo_atlas_query_range(struct mo_request *request, float *lo, float *hi)
     return true;
   mo_reply_bad_parameter(request, mo_query(request, "lo") != NULL ? "lo" : "hi",
                          "lo must be below hi; without one of them, the other must be within the "
-                         "range of the scores");
+                         "range of the scores or values");
   return false;
 }
 
