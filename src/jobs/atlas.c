@@ -31,8 +31,7 @@
 #define WAVE_MAX     131072
 #define ROLLOUTS_MAX 1310720 /* of a wave, if it has more than WAVE_LEAST designs */
 #define WAVE_LEAST   2048
-#define VALUES_BYTES                                                                               \
-  (UINT64_C(64) << 20) /* of its measures, if it has more than WAVE_LEAST designs */
+#define VALUES_BYTES (UINT64_C(64) << 20) /* of its measures, in the same case */
 /* Measured, and rounded up: of two streams of bodies, and of the writer. */
 #define TEN_VOXELS_BYTES  (UINT64_C(40) << 20)
 #define NINE_VOXELS_BYTES (UINT64_C(8) << 20)
