@@ -300,8 +300,8 @@ def test_bench_search(path, tmp_path):
 
 
 def test_examples_of_the_documents(tmp_path, monkeypatch):
-    subprocess.run([ANSWERS, tmp_path / "walk-7.atlas", "6", "6", "4", "6", "1000"], check=True,
-                   capture_output=True)
+    subprocess.run([ANSWERS, tmp_path / "walk-7.atlas", "6", "6", "4", "6", "1000", str(1 << 16)],
+                   check=True, capture_output=True)  # with work_j
     monkeypatch.chdir(tmp_path)
     for page in ("docs/atlas.md", "docs/search.md", "clients/python/README.md"):
         examples = re.findall(r"```python\n(.*?)```", (SOURCE / page).read_text(), re.DOTALL)
