@@ -56,11 +56,10 @@ static struct mo_physics physics_of(uint32_t body)
 }
 
 /* Gives an environment an objective that needs a tally: in each body, a lane has each of them, and
- * two have a sum. Devices do not differentiate these, which are then beyond the robots' lanes. */
-static void set_objective(uint32_t lane, enum mo_back_end back_end, struct mo_task *task)
+ * two have a sum. */
+static void set_objective(uint32_t lane, struct mo_task *task)
 {
-  const uint32_t sum = back_end == MO_ON_CPU ? 2 : 5, efficient = back_end == MO_ON_CPU ? 4 : 9;
-  if (lane == sum)
+  if (lane == 2)
     *task = (struct mo_task){.objective = MO_OBJECTIVE_SUM,
                              .n_terms = 4,
                              .terms = {MO_OBJECTIVE_EFFICIENT, MO_OBJECTIVE_JUMP,
@@ -73,14 +72,14 @@ static void set_objective(uint32_t lane, enum mo_back_end back_end, struct mo_ta
                              .terms = {MO_OBJECTIVE_REACH, MO_TERM_MEASURE + MO_MEASURE_TILT,
                                        MO_TERM_MEASURE + MO_MEASURE_PEAK_STRAIN},
                              .weights = {1, -0.1, -1}};
-  if (lane == efficient || lane == 8)
-    task->objective = lane == efficient ? MO_OBJECTIVE_EFFICIENT : MO_OBJECTIVE_JUMP;
+  if (lane == 4 || lane == 8)
+    task->objective = lane == 4 ? MO_OBJECTIVE_EFFICIENT : MO_OBJECTIVE_JUMP;
 }
 
 /* Gives an environment a task: in each body, the last lanes have one of each kind of guide. Every
  * fourth lane has a profile, every fourth has damage, every fifth has factors, and every third has
  * a drop. */
-static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environment *environment)
+static void set_task(uint32_t lane, struct mo_environment *environment)
 {
   static const char *const words[] = {"photo-auc", "walk", "circle", "path", "pursue", "climb"};
   const uint32_t first = MO_BLOCK_LANES - (uint32_t)(sizeof(words) / sizeof(*words));
@@ -96,7 +95,7 @@ static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environ
     environment->factors = (struct mo_factors){1, 0.8, 1.25, 1.5, 0.9, 1.1, 0.5};
   if (lane % 3 == 1)
     environment->drop_m = 0.05;
-  set_objective(lane, back_end, &environment->task);
+  set_objective(lane, &environment->task);
 }
 
 /* Turns a grid of 8 × 8 heights into one of 16 × 4. */
@@ -135,7 +134,7 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
     block->measuring = &canary->measuring[b];
     for (uint32_t e = 0; e < MO_BLOCK_LANES && error == MO_OK; e++) {
       mo_environment_training(SEED, b, e, &canary->environments[b][e]);
-      set_task(e, back_end, &canary->environments[b][e]);
+      set_task(e, &canary->environments[b][e]);
       if (e % 4 == 2 && back_end == MO_ON_CPU) /* devices do not compute custom grids */
         error = set_grid(&canary->environments[b][e]);
       block->environments[e] = &canary->environments[b][e];
@@ -146,23 +145,20 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
 
 /* ---- the gradient ---- */
 
-/* On devices, robots have the first lanes; on processors, all lanes, and with them all objectives.
- */
-static uint32_t lane_of(uint32_t robot, enum mo_back_end back_end)
+/* Robots have all lanes, and with them all objectives. */
+static uint32_t lane_of(uint32_t robot)
 {
-  if (back_end == MO_ON_DEVICE)
-    return robot / BODIES;
   const uint32_t lane = (robot + robot / BODIES) % MO_BLOCK_LANES;
   return lane == NO_GRADIENT ? 2 : lane;
 }
 
-static int make_robots(struct canary *canary, enum mo_back_end back_end)
+static int make_robots(struct canary *canary)
 {
   int error = MO_OK;
   for (uint32_t i = 0; i < ROBOTS && error == MO_OK; i++) {
     error = mo_body_create(canary->lattice, canary->genotypes[i % BODIES], &canary->bodies[i]);
     canary->robots[i].body = canary->bodies[i];
-    canary->robots[i].environment = &canary->environments[i % BODIES][lane_of(i, back_end)];
+    canary->robots[i].environment = &canary->environments[i % BODIES][lane_of(i)];
   }
   return error;
 }
@@ -188,7 +184,7 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
   batch.physics.scheme.n_steps = STEPS;
   batch.physics.drop_height_m = 0;
   batch.d_parameters = calloc(n, sizeof(*batch.d_parameters));
-  int error = batch.d_parameters != NULL ? make_robots(canary, back_end) : MO_ERR_NO_MEMORY;
+  int error = batch.d_parameters != NULL ? make_robots(canary) : MO_ERR_NO_MEMORY;
   if (error == MO_OK)
     error = mo_gradient_state_create(compute, &state);
   /* A device has kernels of its own for periods of several steps. */

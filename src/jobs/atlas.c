@@ -505,10 +505,9 @@ static int complete(struct mo_jobs *jobs, struct mo_atlas_request *request,
     error =
         mo_environments_count(jobs, request->environment_set, &request->n_environments, message);
   if (error == MO_OK)
-    error = mo_back_end_choose(
-        jobs, &request->job,
-        mo_back_end_unsuited(request->environments, request->n_environments, false),
-        request->voxels >= LARGE_VOXELS, message);
+    error = mo_back_end_choose(jobs, &request->job,
+                               mo_back_end_unsuited(request->environments, request->n_environments),
+                               request->voxels >= LARGE_VOXELS, message);
   if (error != MO_OK)
     return error;
   const struct mo_need need = estimate(jobs, request->voxels, request->n_environments,

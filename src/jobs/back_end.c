@@ -13,7 +13,6 @@
 #include "base/thread.h"
 #include "jobs/state.h"
 #include "jobs/trainings.h"
-#include "world/task.h"
 
 #define BLOCKS_A_DEVICE 16384 /* more than one call, at ten environments per block */
 #define BLOCKS_A_WORKER 2
@@ -131,16 +130,12 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, cons
                                                        : "the service has no devices");
 }
 
-const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n, bool learns)
+const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n)
 {
-  for (uint32_t i = 0; environments != NULL && i < n; i++) {
+  for (uint32_t i = 0; environments != NULL && i < n; i++)
     if (environments[i].grid != NULL)
       return "GPUs cannot compute terrains of kind \"grid\" yet; request \"cpu\" or \"auto\", or "
              "use terrain_heights_m or a profile";
-    if (learns && mo_task_has_tally(&environments[i].task))
-      return "devices cannot learn the objectives \"efficient\" and \"jump\" and weighted sums "
-             "yet; request \"cpu\" or \"auto\", or environments with other objectives";
-  }
   return NULL;
 }
 

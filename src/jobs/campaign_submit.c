@@ -168,8 +168,7 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   if (error != MO_OK || *replayed)
     return error;
   error = mo_back_end_choose(jobs, &request.job,
-                             mo_back_end_unsuited(request.environments, record->n_environments,
-                                                  mo_modes[record->settings.mode].learns),
+                             mo_back_end_unsuited(request.environments, record->n_environments),
                              true, message);
   if (error == MO_OK)
     error = check_references(jobs, record, message);

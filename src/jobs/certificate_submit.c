@@ -193,10 +193,9 @@ static int complete(struct mo_jobs *jobs, struct completion *made, struct mo_mes
   if (error == MO_OK)
     error = count_trials(made, &base, message);
   if (error == MO_OK)
-    error = mo_back_end_choose(
-        jobs, &request->job,
-        mo_back_end_unsuited(request->environments, request->n_environments, false),
-        request->record.n_rollouts >= LARGE_ROLLOUTS, message);
+    error = mo_back_end_choose(jobs, &request->job,
+                               mo_back_end_unsuited(request->environments, request->n_environments),
+                               request->record.n_rollouts >= LARGE_ROLLOUTS, message);
   if (error != MO_OK)
     return error;
   const enum mo_back_end back_end = (enum mo_back_end)request->job.back_end;

@@ -70,7 +70,7 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
                      request->n_displaced == 0;
   error = mo_back_end_choose(
       jobs, job,
-      suits ? mo_back_end_unsuited(request->environments, request->n_environments, false)
+      suits ? mo_back_end_unsuited(request->environments, request->n_environments)
             : "devices compute only float32 batches without record, error or tolerance; request "
               "\"cpu\" or \"auto\", or leave those out",
       n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);

@@ -87,10 +87,9 @@ void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
  * and what to do; NULL: they can. is_large: devices are worth it. MO_ERR_DEVICE. */
 int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, const char *unsuited,
                        bool is_large, struct mo_message *message);
-/* Returns why devices cannot compute these environments, or learn in them, and what to do; NULL:
- * they can, as they can with the named sets. environments: NULL for a set. */
-const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n,
-                                 bool learns);
+/* Returns why devices cannot compute these environments, and what to do; NULL: they can, as they
+ * can with the named sets. environments: NULL for a set. */
+const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n);
 /* MO_ERR_DEVICE: the job needs devices, none works, and no worker with devices has joined. Check
  * this before a job starts, because redrawing its bodies can take minutes. */
 int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end);

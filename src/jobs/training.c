@@ -512,8 +512,8 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
   struct mo_bits *population = NULL;
   struct mo_need need;
   int error = mo_back_end_choose(
-      jobs, &request->job,
-      mo_back_end_unsuited(request->environments, record->n_environments, true), true, message);
+      jobs, &request->job, mo_back_end_unsuited(request->environments, record->n_environments),
+      true, message);
   if (error == MO_OK && record->population != 0)
     error = load_population(jobs, request, &population, &record->n_designs, message);
   if (error == MO_OK) {

@@ -4,8 +4,7 @@
 
 #include <morpho/task.h>
 
-/* Returns whether a task adds up more than one sum: efficient, jump and weighted sums. Devices
- * score these, but do not learn them. */
+/* Returns whether a task adds up more than one sum: efficient, jump and weighted sums. */
 bool mo_task_has_tally(const struct mo_task *task);
 
 #endif

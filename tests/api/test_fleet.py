@@ -189,7 +189,7 @@ def test_who_may_join(free):
     good = free.offer()
     kind = good["classes"]["cpu"]
     assert free.join(name="n" * 64) != free.join(name="n" * 64)
-    refused(free, 422, "must be 6, the protocol of", **good | {"protocol": 2, "unknown": []})
+    refused(free, 422, "must be 7, the protocol of", **good | {"protocol": 2, "unknown": []})
     other = good | {"version": "0.0.1", "classes": {"cpu": kind | {"scores": "other"}}}
     for words in (f"version {good['version']} with", kind["scores"], 'version 0.0.1 with "other"'):
         refused(free, 422, words, **other)

@@ -176,14 +176,13 @@ def test_processors_compute_what_devices_cannot(fresh):
 
 
 @pytest.mark.parametrize("fresh", [DEVICES], indirect=True)
-def test_a_form_knows_what_devices_cannot_learn(fresh):
+def test_devices_learn_every_task_of_the_form(fresh):
     _, page = fresh
     form(page, "training")
     figures(page, UNKNOWN)
-    page.run("document.querySelector('dialog[open] input[value=jump]').click()")
-    figures(page)
-    page.run("document.querySelector('dialog[open] input[value=walk]').click()")
-    figures(page, UNKNOWN)
+    for task in ("jump", "walk"):
+        page.run(f"document.querySelector('dialog[open] input[value={task}]').click()")
+        figures(page, UNKNOWN)
     assert page.faults() == []
 
 

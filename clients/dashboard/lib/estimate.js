@@ -149,9 +149,8 @@ function estimateOf(plan, rates, n) {
     both(own, (scoring.rollouts || !own) && scored)} with the same settings.`;
 }
 
-/** Whether devices cannot compute this in an environment, or with a task, of a request. */
-const isUnsuited = ({ terrain, task, objective = task?.objective }, learns) =>
-  terrain?.kind === 'grid' || (learns && /^(efficient|jump|\[object)/.test(objective));
+/** Whether devices cannot compute an environment of a request. */
+const isUnsuited = ({ terrain }) => terrain?.kind === 'grid';
 
 /**
  * Returns the line of a form that says what its request will take.
@@ -177,8 +176,7 @@ export async function estimateFor(kind) {
    * @param {{environments?: number, isUnknown?: boolean}} of see planOf
    */
   function show(request, controllers, of) {
-    const { controller, kind: name, mode, preset, device = 'auto', environments = [],
-      tasks = [] } = request;
+    const { controller, kind: name, mode, preset, device = 'auto', environments = [] } = request;
     const named = controller ?? (name === 'pretrain' || mode === 'simultaneous' ? '' : 'default');
     const periodS = named ? controllers.find(({ name, sha256 }) =>
       [name, `sha256:${sha256}`].includes(named))?.control_period_s ?? 0
@@ -187,8 +185,7 @@ export async function estimateFor(kind) {
     plan = planOf(kind, request, { ...of, periodS });
     if (plan) {
       if (device !== 'auto') plan.device = device;
-      else if (!working || [environments, tasks].flat().some((one) =>
-        isUnsuited(one, plan.learning))) plan.device = 'cpu';
+      else if (!working || [environments].flat().some(isUnsuited)) plan.device = 'cpu';
       plan.like = likeOf({ ...plan.physics, ...plan });
     }
     write();

@@ -1,5 +1,5 @@
 /* course.cuh: rollout/course.c for a device: the task of one rollout, computed by one lane, with
- * the functions and structures of course.h.
+ * the functions and structures of course.h. course_back.cuh has what gradients need besides.
  *
  * The operations are those of course.c in the same order, in float64, which devices round like
  * processors: the same centers of mass give the same bits. A test without a device compares them;
@@ -333,6 +333,12 @@ MO_COURSE void course_begin_tally(struct mo_track *track)
   track->tally.n_heights = 0;
 }
 
+/* Returns whether the height at an instant counts for a jump. */
+MO_COURSE bool course_counts(const struct mo_course *course, double t_s)
+{
+  return t_s >= fmin(MO_JUMP_FROM_S, course->end_s) - 1e-9;
+}
+
 /* As mo_course_advance, from the instant before to that of `track`, which course_advance has
  * reached. The smooth maximum of heights is left out: only gradients have it. */
 MO_COURSE void course_add_tally(const struct mo_course *course, double t_s,
@@ -362,7 +368,7 @@ MO_COURSE void course_add_tally(const struct mo_course *course, double t_s,
     sums[COURSE_HEIGHT] += track->com_m[2] - terrain_height(&map, environment->terrain_heights_m,
                                                             track->com_m[0], track->com_m[1]);
   }
-  if ((needs >> COURSE_PEAK & 1) != 0 && t_s >= fmin(MO_JUMP_FROM_S, course->end_s) - 1e-9)
+  if ((needs >> COURSE_PEAK & 1) != 0 && course_counts(course, t_s))
     track->tally.peak_m = fmax(track->tally.peak_m, track->com_m[2]);
 }
 
@@ -372,7 +378,7 @@ struct course_result {
   double loss, value;
 };
 
-/* As mo_course_finish, for a rollout that did not diverge. */
+/* As mo_course_finish, for a rollout that did not diverge and a task without a tally. */
 MO_COURSE struct course_result course_finish(const struct mo_course *course,
                                              const struct mo_track *track)
 {
@@ -401,128 +407,6 @@ MO_COURSE struct course_result course_finish(const struct mo_course *course,
   x = fmin(fmax(-result.value / course->scale_m, -MO_COURSE_EXPONENT_MAX), MO_COURSE_EXPONENT_MAX);
   result.loss = x <= 0 ? course_exp(x) : 1 / course_exp(-x);
   return result;
-}
-
-/* ---- backward ---- */
-
-MO_COURSE void course_add_away(double factor, const double *a_m, const double *b_m, double d[3])
-{
-  const double length = course_distance(a_m, b_m);
-  for (int axis = 0; axis < 2; axis++)
-    if (length > 0)
-      d[axis] += factor * (a_m[axis] - b_m[axis]) / length;
-}
-
-MO_COURSE void course_add_facing(double factor, const struct mo_track *track, double d[3])
-{
-  for (int axis = 0; axis < 2; axis++)
-    d[axis] += factor * track->facing[axis];
-}
-
-MO_COURSE void course_sum_back(const struct mo_course *course, double t_s,
-                               const struct mo_track *before, const struct mo_track *track,
-                               double d_sum, double d_com[3])
-{
-  const enum mo_objective objective = course->environment->task.objective;
-  double light_m[2], off_m[2];
-  if (before == NULL)
-    return;
-  if (objective == MO_OBJECTIVE_TRAVEL) {
-    course_add_facing(d_sum, before, d_com);
-  } else if (objective == MO_OBJECTIVE_APPROACH || objective == MO_OBJECTIVE_PURSUE) {
-    course_light_xy(course, t_s, track, light_m);
-    course_add_away(d_sum, track->com_m, light_m, d_com);
-  } else if (objective == MO_OBJECTIVE_FOLLOW) {
-    const double on_path[2] = {0, 0};
-    course_off_path(course, track, off_m);
-    course_add_away(d_sum, off_m, on_path, d_com);
-  }
-}
-
-MO_COURSE void course_progress_back(const struct mo_track *track, struct mo_course_adjoint *adjoint,
-                                    double d_com[3])
-{
-  if (track->along_is == MO_TRACK_WORD(MO_TRACK_KEPT))
-    return;
-  if (track->along_is == MO_TRACK_WORD(MO_TRACK_MOVED))
-    course_add_facing(adjoint->d_along, track, d_com);
-  adjoint->d_along = 0;
-}
-
-/* As mo_course_end_back. */
-MO_COURSE void course_end_back(const struct mo_course *course, const struct mo_track *before,
-                               const struct mo_track *track, double loss,
-                               struct mo_course_adjoint *adjoint, double d_com[3])
-{
-  double light_m[2];
-  adjoint->d_sum = adjoint->d_along = 0;
-  d_com[0] = d_com[1] = d_com[2] = 0;
-  switch (course->environment->task.objective) {
-  case MO_OBJECTIVE_REACH:
-    course_light_xy(course, course->end_s, track, light_m);
-    course_add_away(1 / course->scale_m, track->com_m, light_m, d_com);
-    break;
-  case MO_OBJECTIVE_APPROACH:
-  case MO_OBJECTIVE_PURSUE: adjoint->d_sum = 1 / (course->scale_m * course->n_periods); break;
-  case MO_OBJECTIVE_TRAVEL: adjoint->d_sum = -loss / course->scale_m; break;
-  case MO_OBJECTIVE_FOLLOW:
-    adjoint->d_along = -loss / course->scale_m;
-    adjoint->d_sum = loss / course->scale_m / course->n_periods;
-    break;
-  case MO_OBJECTIVE_CLIMB: d_com[2] = -loss / course->scale_m; break;
-  default: break; /* refused: gradient_plan.c */
-  }
-  course_sum_back(course, course->end_s, before, track, adjoint->d_sum, d_com);
-  course_progress_back(track, adjoint, d_com);
-}
-
-/* As mo_course_back. */
-MO_COURSE void course_back(const struct mo_course *course, double t_s,
-                           const struct mo_track *before, const struct mo_track *track,
-                           const double d_light[3], struct mo_course_adjoint *adjoint,
-                           double d_com[3])
-{
-  const struct mo_guide *guide = course_guide(course);
-  double light_m[2], slope[2];
-  d_com[0] = d_com[1] = d_com[2] = 0;
-  course_light_xy(course, t_s, track, light_m);
-  const struct terrain_map map = terrain_map_of(course->environment);
-  terrain_slope(&map, course->environment->terrain_heights_m, light_m[0], light_m[1], slope);
-  const double d_xy[2] = {d_light[0] + slope[0] * d_light[2], d_light[1] + slope[1] * d_light[2]};
-  if (guide->kind == MO_GUIDE_AHEAD || guide->kind == MO_GUIDE_TURNING) {
-    d_com[0] = d_xy[0];
-    d_com[1] = d_xy[1];
-  } else if (guide->kind == MO_GUIDE_PATH && track->along_m + guide->distance_m < track->length_m) {
-    adjoint->d_along += course_dot(d_xy, track->facing);
-  }
-  if (course->environment->task.objective == MO_OBJECTIVE_TRAVEL)
-    course_add_facing(-adjoint->d_sum, track, d_com);
-  course_sum_back(course, t_s, before, track, adjoint->d_sum, d_com);
-  course_progress_back(track, adjoint, d_com);
-}
-
-/* As mo_course_restart. */
-MO_COURSE void course_restart(const struct mo_course *course, double t_s,
-                              const struct mo_track *track, const double com_m[3], double loss,
-                              double weight, struct mo_course_adjoint *adjoint, double d_com[3])
-{
-  double light_m[2];
-  d_com[0] = d_com[1] = d_com[2] = 0;
-  adjoint->d_along = 0;
-  switch (course->environment->task.objective) {
-  case MO_OBJECTIVE_REACH:
-  case MO_OBJECTIVE_APPROACH:
-  case MO_OBJECTIVE_PURSUE:
-    course_light_xy(course, t_s, track, light_m);
-    course_add_away(weight / course->scale_m, com_m, light_m, d_com);
-    break;
-  case MO_OBJECTIVE_TRAVEL:
-  case MO_OBJECTIVE_FOLLOW:
-    course_add_facing(-weight * loss / course->scale_m, track, d_com);
-    break;
-  case MO_OBJECTIVE_CLIMB: d_com[2] = -weight * loss / course->scale_m; break;
-  default: break; /* refused: plan.c */
-  }
 }
 
 #endif

@@ -3,7 +3,7 @@
  * of the parameters. A row with an adjoint that is not finite is zeroed from there on and reported;
  * the host then repeats the backward pass without it, so that it contributes nothing to the
  * sums. */
-#include "compute/cuda/gradient_back_physics.cuh"
+#include "compute/cuda/gradient_back_work.cuh"
 
 /* Copies ∂loss/∂outputs to the tape: for each eight tiles, sixteen bytes per thread. */
 struct output_copy {
@@ -96,8 +96,8 @@ template <int MT, int SHARE, int TIME> struct back : back_physics<MT, SHARE, TIM
       own::layer_bytes, own::left, own::mass, own::move_back, own::n_chunks, own::n_masses,
       own::n_outputs, own::n_own, own::normal_at, own::output_at, own::output_tile, own::outputs,
       own::own_row, own::part, own::pass_of, own::position_at, own::result, own::ROWS,
-      own::scale_at, own::sense_back, own::SPLIT, own::springs_back, own::start, own::tape,
-      own::TAPE_ROWS, own::use_pull, own::velocity_at, own::warp, own::width;
+      own::scale_at, own::has_later, own::sense_back, own::SPLIT, own::springs_back, own::start,
+      own::tape, own::TAPE_ROWS, own::TASKS, own::use_pull, own::velocity_at, own::warp, own::width;
   using typename own::held;
   /* This block's share of the group's chunks: the first, and how many. */
   int block_chunk, block_chunks;
@@ -407,6 +407,18 @@ template <int MT, int SHARE, int TIME> struct back : back_physics<MT, SHARE, TIM
     }
   }
 
+  /* The same with the work at the starts of control periods, if tasks of the pair need it. */
+  __device__ __forceinline__ void springs_and_work_back(uint32_t step)
+  {
+    const bool begins = step > 0 && begins_period(step);
+    const uint32_t works = works_of(*this);
+    if (works != 0 && begins)
+      work_back<false>(*this, step, works, has_later(step, true));
+    springs_back(step, works != 0);
+    if (works != 0 && begins)
+      work_back<true>(*this, step, works, SPLIT);
+  }
+
   __device__ __forceinline__ void run()
   {
     const uint64_t state = 3 * (g.first_mass + group_first());
@@ -455,7 +467,10 @@ template <int MT, int SHARE, int TIME> struct back : back_physics<MT, SHARE, TIM
       else if (SPLIT)
         use_pull(true);
       move_back(step, h);
-      springs_back(step);
+      if constexpr (TASKS)
+        springs_and_work_back(step);
+      else
+        springs_back(step, false);
       if (!begins_period(step)) {
         kick_back(step);
         continue;

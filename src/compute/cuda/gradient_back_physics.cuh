@@ -201,6 +201,8 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
       if constexpr (TASKS) {
         const guided_row end = guided(own_row(r), pass_of(k.n_steps - 1) + 1);
         if (end.task != nullptr) {
+          if (excluded[r] && lane == 0)
+            end.ending->adjoint.d_work = 0;
           aim_at(r, excluded[r] ? make_double3(0, 0, 0) : guide_end_back(end));
           continue;
         }
@@ -449,16 +451,23 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
     pair_sync(); /* springs belong to both rows */
   }
 
+  /* Whether the sums of ∂loss/∂activation have something from later steps. */
+  __device__ __forceinline__ bool has_later(uint32_t step, bool works) const
+  {
+    return SPLIT || works ? step + 1 < k.n_steps : !ends_period(step);
+  }
+
   /* As in the forward pass. One of a spring's ends writes ∂loss/∂(the spring's output), in the step
-   * that computed it; both have added the contributions of later steps that hold it. */
-  __device__ __forceinline__ void springs_back(uint32_t step)
+   * that computed it; both have added the contributions of later steps that hold it. works: tasks
+   * of the pair need the work, which has contributed at the starts of periods. */
+  __device__ __forceinline__ void springs_back(uint32_t step, bool works)
   {
     enum { N = MO_GK_SPRINGS_AHEAD_BACK };
     const int16_t *kept =
         (const int16_t *)(tape + activation_at) + (size_t)pass_of(step) * n_chunks * 32 + chunk_at;
     float *const sums = (float *)(tape + d_activation_at) + chunk_at;
     const bool begins = begins_period(step), blend = blends(step),
-               adds = SPLIT ? step + 1 < k.n_steps : !ends_period(step);
+               adds = has_later(step, works) || (works && begins && step > 0);
     const int n = own_chunks;
     if (n == 0)
       return;

@@ -1,6 +1,6 @@
 /* gradient_forward.cu: rollouts of a plan's groups, a number of steps per launch, which keep on the
  * tape the data that the backward pass needs. */
-#include "compute/cuda/gradient_guide.cuh"
+#include "compute/cuda/gradient_work.cuh"
 
 /* A warp's masses that strike the ground. They are few, and a strike takes long, so they are
  * collected until there are 32, one for each lane. */
@@ -613,6 +613,9 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
         keep_left(tape + input_at + (size_t)pass * TAPE_ROWS * (MO_GP_INPUTS * 2));
         control(pass, ahead);
         __syncthreads();
+        if constexpr (TASKS)
+          if (step > 0)
+            add_work(*this, step);
       } else {
         pair_sync(); /* waits until the other warp has moved its masses */
       }

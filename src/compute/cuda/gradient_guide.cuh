@@ -6,6 +6,7 @@
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_GUIDE_CUH
 #define MORPHO_COMPUTE_CUDA_GRADIENT_GUIDE_CUH
 
+#include "compute/cuda/course_back.cuh"
 #include "compute/cuda/gradient_kernels.cuh"
 
 static __device__ __forceinline__ mo_course course_of(const guided_row &row)
@@ -52,6 +53,8 @@ static __device__ __noinline__ float3 guide_first(const guided_row row)
 {
   const mo_track track = row.task->start;
   const float3 light = light_of(course_of(row), 0, track);
+  if (threadIdx.x % 32 == 0)
+    row.ending->energy_m2[0] = row.ending->energy_m2[1] = 0;
   keep_track(row, track);
   return light;
 }
@@ -63,10 +66,15 @@ static __device__ __noinline__ float3 guide_next(const guided_row row, double t_
   const mo_course course = course_of(row);
   const double com_m[3] = {com.x, com.y, com.z};
   mo_track track = row.track[-(int64_t)row.stride];
-  course_advance(&course, t_s, com_m, &track);
+  course_advance_all(&course, t_s, com_m, &track);
   const float3 light = light_of(course, t_s, track);
   keep_track(row, track);
   return light;
+}
+
+static __device__ __forceinline__ double work_of(const guided_row &row)
+{
+  return 0.5 * row.task->stiffness_n_per_m * (row.ending->energy_m2[0] + row.ending->energy_m2[1]);
 }
 
 /* Ends a row's track and sets its result. */
@@ -75,8 +83,8 @@ static __device__ __noinline__ void guide_end(const guided_row row, const double
   const mo_course course = course_of(row);
   const double com_m[3] = {com.x, com.y, com.z};
   mo_track track = row.track[-(int64_t)row.stride];
-  course_advance(&course, course.end_s, com_m, &track);
-  const course_result result = course_finish(&course, &track);
+  course_advance_all(&course, course.end_s, com_m, &track);
+  const course_result result = course_finish_all(&course, &track, work_of(row), false);
   if (threadIdx.x % 32 == 0) {
     row.ending->loss = result.loss;
     row.ending->value = result.value;
@@ -91,7 +99,7 @@ static __device__ __noinline__ double3 guide_end_back(const guided_row row)
   const mo_course course = course_of(row);
   mo_course_adjoint adjoint;
   double d_com[3];
-  course_end_back(&course, row.track - row.stride, row.track, row.ending->loss, &adjoint, d_com);
+  course_end_back(&course, row.track - row.stride, row.track, work_of(row), &adjoint, d_com);
   keep_adjoint(row, adjoint);
   return make_double3(d_com[0], d_com[1], d_com[2]);
 }
@@ -104,8 +112,8 @@ static __device__ __noinline__ double3 guide_back(const guided_row row, double t
   const double d_light_m[3] = {d_light.x, d_light.y, d_light.z};
   mo_course_adjoint adjoint = row.ending->adjoint;
   double d_com[3];
-  course_back(&course, t_s, is_first ? nullptr : row.track - row.stride, row.track, d_light_m,
-              &adjoint, d_com);
+  course_back(&course, t_s, is_first ? nullptr : row.track - row.stride, row.track,
+              row.track + row.stride, d_light_m, &adjoint, d_com);
   keep_adjoint(row, adjoint);
   return make_double3(d_com[0], d_com[1], d_com[2]);
 }
@@ -117,7 +125,7 @@ static __device__ __noinline__ double3 guide_restart(const guided_row row, doubl
   const double com_m[3] = {com.x, com.y, 0};
   mo_course_adjoint adjoint = row.ending->adjoint;
   double d_com[3];
-  course_restart(&course, t_s, row.track, com_m, row.ending->loss, weight, &adjoint, d_com);
+  course_restart(&course, t_s, row.track, com_m, weight, &adjoint, d_com);
   keep_adjoint(row, adjoint);
   return make_double3(d_com[0], d_com[1], d_com[2]);
 }

@@ -9,7 +9,6 @@
 #include "rollout/course.h"
 #include "rollout/damage.h"
 #include "rollout/scene.h"
-#include "world/task.h"
 
 #include <math.h>
 #include <stdbool.h>
@@ -51,7 +50,7 @@ struct shard {
                           * range, not its start */
   struct formed *formed; /* (n_groups) */
   uint32_t n_groups, first_group;
-  bool is_special, has_damage; /* some robot's environment */
+  bool is_special, has_damage, works; /* some robot's environment, or task */
   const struct mo_physics *physics;
   struct mo_gradient_plan *plan;
   int status;
@@ -316,10 +315,11 @@ static void form_shards(void *context, size_t first, size_t end)
     for (uint32_t i = 0; i < s->n; i++) {
       const struct mo_environment *environment = s->robots[s->first + i].environment;
       if (s->status == MO_OK &&
-          (environment->grid != NULL || mo_task_has_tally(&environment->task)))
+          (environment->grid != NULL || mo_task_measures(&environment->task) != 0))
         s->status = MO_ERR_UNSUPPORTED;
       s->is_special |= mo_environment_is_special(environment);
       s->has_damage |= environment->damage.cut != 0;
+      s->works |= mo_task_needs_work(&environment->task);
     }
     while (s->status == MO_OK && s->at < s->end) {
       struct formed *f = &s->formed[s->n_groups++];
@@ -347,6 +347,8 @@ static void fill_course(const struct shard *s, struct mo_gp_row *row, const doub
   course->environment = *environment;
   mo_course_begin(&course->course, environment, &s->physics->scheme, com_start_m, &course->start);
   course->course.environment = NULL;
+  course->works = mo_task_needs_work(&environment->task);
+  course->stiffness_n_per_m = mo_scene_constants(environment, s->physics).stiffness_n_per_m;
   row->goal.scale_m = course->course.scale_m;
 }
 
@@ -416,11 +418,13 @@ static int place(struct mo_gradient_plan *plan, struct shard *shards)
   bool is_special = false, has_damage = false;
   plan->n_groups = plan->n_rows = 0;
   plan->n_masses = plan->n_chunks = 0;
+  plan->works = false;
   for (uint32_t i = 0; i < plan->n_shards; i++) {
     if (shards[i].status < 0)
       return shards[i].status;
     is_special |= shards[i].is_special;
     has_damage |= shards[i].has_damage;
+    plan->works |= shards[i].works;
     shards[i].first_group = plan->n_groups;
     plan->n_groups += shards[i].n_groups;
   }

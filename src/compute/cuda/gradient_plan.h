@@ -5,6 +5,7 @@
 
 #include "compute/cuda/gradient_tables.h"
 
+#include <stdbool.h>
 #include <stddef.h>
 
 #ifdef __cplusplus
@@ -36,6 +37,7 @@ struct mo_gradient_plan {
   struct mo_gp_course *courses; /* (n_rows); NULL: no row is special */
   uint32_t *cuts; /* (n_chunks) bit l: the damage of its row cuts the spring of lane l; NULL: no row
                      has damage */
+  bool works;     /* the task of some row needs the work of the springs */
   struct mo_outcome *starts; /* (n) only com_start_m is set */
   /* The memory of all these, and scratch memory. The next batch reuses it, because allocating 80 MB
    * takes longer than filling it. */
@@ -53,9 +55,9 @@ struct mo_gradient_plan {
 uint32_t mo_gp_shared_bytes(uint32_t n_rows, uint32_t n_masses, uint32_t n_outputs);
 
 /* Makes a plan. plan: zeros, or the result of an earlier call. `robots` and everything they point
- * to are read only during this call. MO_ERR_UNSUPPORTED: a workspace other than the default, or a
- * single body that does not fit in shared_bytes; MO_ERR_NO_MEMORY. The plan keeps its memory, even
- * after an error, until mo_gradient_plan_free. */
+ * to are read only during this call. MO_ERR_UNSUPPORTED: a workspace other than the default, a
+ * custom grid, a task without a gradient, or a single body that does not fit in shared_bytes;
+ * MO_ERR_NO_MEMORY. The plan keeps its memory, even after an error, until mo_gradient_plan_free. */
 int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n,
                           const struct mo_physics *physics, const struct mo_gp_options *options,
                           struct mo_gradient_plan *plan);

@@ -465,7 +465,8 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
   mo_cuda_gradient_state *s = &device->gradient;
   const mo_scheme &scheme = call->physics.scheme;
   const mo_gp_time time = {scheme.n_steps, mo_control_steps(&scheme),
-                           scheme.integrator == MO_INTEGRATOR_SPLIT, plan.courses != nullptr};
+                           scheme.integrator == MO_INTEGRATOR_SPLIT, plan.courses != nullptr,
+                           plan.works};
   uint64_t budget = 0;
   if (!mo_gradient_can_be_held(&plan, time, share_of(device->total_bytes))) {
     snprintf(device->error, sizeof(device->error), "a tape of %u steps is too long for this device",
@@ -494,6 +495,7 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
     w.k.n_steps = time.n_steps;
     w.k.control_steps = time.control_steps;
     w.k.splits = time.splits;
+    w.k.works = time.works;
     w.k.part_steps = mo_gp_passes(PART_STEPS, time.control_steps) * time.control_steps;
     const double since = now_s();
     r = upload_pass(w);

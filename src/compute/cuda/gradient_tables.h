@@ -91,6 +91,8 @@ struct mo_gp_course {
   struct mo_environment environment;
   struct mo_course course; /* its environment is not set: it is the one above */
   struct mo_track start;   /* at the start of the rollout */
+  bool works;              /* the task needs the work of the springs */
+  double stiffness_n_per_m;
 };
 
 #endif

@@ -12,6 +12,7 @@ struct mo_gp_time {
   uint32_t n_steps, control_steps; /* control_steps: in a control period; not 0 */
   bool splits;                     /* the integrator is `split` */
   bool is_special;                 /* some row is (plan.h) */
+  bool works;                      /* the task of some row needs the work of the springs */
 };
 
 /* Offsets in a group's part of the tape, in bytes. Positions, velocities and pushes are
@@ -24,8 +25,9 @@ struct mo_gp_tape {
                             mass strikes. With `split`, otherwise absent */
   uint64_t activation;   /* int16 (n_chunks, 32) in units of 1/32767 */
   uint64_t d_activation; /* float (n_chunks, 32), once: ∂loss/∂activation, summed over
-                            the steps of a control period; absent if it is one step and the
-                            integrator is the paper's */
+                            the steps of a control period; absent if it is one step, the
+                            integrator is the paper's, and no task needs the work; in that case it
+                            comes last, and `works` moves nothing else */
   uint64_t input;        /* bfloat16 (n_rows, 256) */
   uint64_t normal[MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256); the backward pass replaces it by
                                         ∂loss/∂(sums of the layer), bfloat16 */
@@ -79,6 +81,8 @@ MO_GP_BOTH struct mo_gp_tape mo_gp_tape_of(const struct mo_gp_group *g, struct m
   }
   t.scale = at, at += MO_GP_ALIGN(passes * rows * MO_HIDDEN_LAYERS * 4);
   t.d_output = at, at += MO_GP_ALIGN(passes * rows * g->n_outputs * MO_GP_TILE * 2);
+  if (time.works && !sums)
+    t.d_activation = at, at += MO_GP_ALIGN(g->n_chunks * MO_GP_LANES * 4);
   t.bytes = at;
   return t;
 }

@@ -83,6 +83,43 @@ MO_INLINE V lane_rest(bool diagonal)
   return diagonal ? v_set(MO_DIAGONAL_M) : v_set(MO_VOXEL_M);
 }
 
+/* The work that new outputs do on a spring, k / 2 · max(after² − before², 0): how much longer it is
+ * than it wants to be with the old outputs and with the new ones; as rollout/gradient_work.inc. */
+struct lane_work {
+  V before, after, gain; /* gain: after² − before² */
+};
+
+MO_INLINE struct lane_work lane_work_of(const struct lane_length *length, V rest, V actuation,
+                                        V activation, V activation_before)
+{
+  struct lane_work w;
+  w.before = length->length - lane_wanted(rest, actuation, activation_before);
+  w.after = length->length - lane_wanted(rest, actuation, activation);
+  w.gain = (w.after - w.before) * (w.after + w.before);
+  return w;
+}
+
+/* ∂loss/∂ what the work depends on; `along` times the vector between the ends is that of the
+ * vector. */
+struct lane_work_adjoint {
+  V activation, activation_before, along;
+};
+
+/* per_gain: ∂loss/∂ the work · k; 0: the spring does not count. */
+MO_INLINE struct lane_work_adjoint lane_work_back(V per_gain, const struct lane_length *length,
+                                                  V rest, V actuation, const struct lane_work *w)
+{
+  const bool gains = per_gain != 0 && w->gain > 0;
+  const V reach = per_gain * rest * actuation;
+  struct lane_work_adjoint adjoint = {0, 0, 0};
+  if (gains) {
+    adjoint.activation = -reach * w->after;
+    adjoint.activation_before = reach * w->before;
+    adjoint.along = per_gain * (w->after - w->before) * length->inverse;
+  }
+  return adjoint;
+}
+
 /* ---- terrain ---- */
 
 /* A row's terrain. In kernels that compute only grids, the compiler knows that `cells` is NULL, and

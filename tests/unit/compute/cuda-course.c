@@ -3,7 +3,7 @@
 #include "../rollout/objective-cases.h"
 #include "../rollout/task-cases.h"
 
-#include "compute/cuda/course.cuh"
+#include "compute/cuda/course_back.cuh"
 #include "rollout/distance.h"
 #include "rollout/fast.h"
 
@@ -50,7 +50,7 @@ static bool same_course(const struct mo_course *a, const struct mo_course *b)
          a->end_s == b->end_s && a->n_periods == b->n_periods;
 }
 
-/* Devices have no tally. */
+/* Except for the tally. */
 static bool same_track(const struct mo_track *a, const struct mo_track *b)
 {
   return memcmp(a, b, offsetof(struct mo_track, tally)) == 0;
@@ -104,16 +104,36 @@ static void forward(void)
       const struct course_result result = course_finish(&other_course, &other);
       CHECK(result.loss == outcome.loss && result.value == outcome.value);
       CHECK(isfinite(result.loss));
+      const struct course_result all = course_finish_all(&other_course, &other, 0, false);
+      CHECK(all.loss == outcome.loss && all.value == outcome.value);
       legs += track.leg;
     }
   printf("# %u way-points reached, progress kept %u times, at an end %u times\n", legs, kept, set);
   CHECK(legs > 0 && kept > 0 && set > 0);
 }
 
-/* Objectives that the host finishes: all but the smooth maximum, which only gradients have. */
+/* What scores need: all but the smooth maximum, which only gradients have. */
 static bool same_tally(const struct mo_tally *a, const struct mo_tally *b)
 {
   return memcmp(a->sums, b->sums, sizeof(a->sums)) == 0 && a->peak_m == b->peak_m;
+}
+
+static bool same_soft_tally(const struct mo_tally *a, const struct mo_tally *b)
+{
+  return same_tally(a, b) && a->soft == b->soft && a->n_heights == b->n_heights;
+}
+
+/* The losses, hard and soft, of a task that has a gradient. */
+static void check_losses(const struct mo_course *course, const struct mo_track *track,
+                         double work_j)
+{
+  const struct mo_observed observed = {.work_j = work_j};
+  struct mo_outcome outcome = {0};
+  mo_course_finish(course, track, &observed, &outcome);
+  const struct course_result result = course_finish_all(course, track, work_j, false);
+  CHECK(result.loss == outcome.loss && result.value == outcome.value && isfinite(result.loss));
+  CHECK(course_finish_all(course, track, work_j, true).loss ==
+        mo_course_soft_loss(course, track, &observed));
 }
 
 static void tallies(void)
@@ -124,7 +144,7 @@ static void tallies(void)
       struct mo_environment environment = environment_of(0, walk);
       struct mo_random dice;
       struct mo_course course, other_course;
-      struct mo_track track, other;
+      struct mo_track track, other, soft;
       double com_m[3] = {MO_WORLD_CENTER_M, MO_WORLD_CENTER_M, 0.2}, sums = 0;
       set_objective(&environment, k);
       mo_random_init(&dice, 6, MO_PURPOSE_CHECK, k, walk);
@@ -132,6 +152,7 @@ static void tallies(void)
       course_begin(&other_course, &environment, scheme.n_steps * scheme.dt_s, PERIODS, com_m,
                    &other);
       course_begin_tally(&other);
+      soft = track;
       CHECK(course_has_tally(&environment.task) && same_tally(&track.tally, &other.tally));
       for (uint32_t period = 1; period <= PERIODS; period++) {
         const double t_s = period < PERIODS ? 7 * period * scheme.dt_s : course.end_s;
@@ -140,9 +161,13 @@ static void tallies(void)
         mo_course_advance(&course, t_s, com_m, &track);
         course_advance(&other_course, t_s, com_m, &other);
         course_add_tally(&other_course, t_s, &before, &other);
+        course_advance_all(&other_course, t_s, com_m, &soft);
         REQUIRE(same_track(&track, &other) && same_tally(&track.tally, &other.tally));
+        REQUIRE(same_track(&track, &soft) && same_soft_tally(&track.tally, &soft.tally));
         REQUIRE(same_light(&course, t_s, &track));
       }
+      if (k < SMOOTH_CASES)
+        check_losses(&course, &track, walk % 4 == 0 ? 0 : 500 * mo_random_uniform(&dice));
       for (int sum = 0; sum < 5; sum++)
         sums += fabs(track.tally.sums[sum]);
       CHECK(sums > 0 || isfinite(track.tally.peak_m) || k == 2 || k == 3 || k == 8);
@@ -156,23 +181,34 @@ static void tallies(void)
 static bool same_adjoint(const struct mo_course_adjoint *a, const struct mo_course_adjoint *b,
                          const double *d_com, const double *other)
 {
-  return a->d_sum == b->d_sum && a->d_along == b->d_along &&
-         memcmp(d_com, other, 3 * sizeof(double)) == 0;
+  bool same = a->d_sum == b->d_sum && a->d_along == b->d_along && a->d_peak == b->d_peak &&
+              a->d_work == b->d_work && a->loss == b->loss && a->work_j == b->work_j &&
+              same_soft_tally(&a->tally, &b->tally);
+  for (int sum = 0; sum < 5; sum++)
+    same = same && a->d_sums[sum] == b->d_sums[sum];
+  return same && memcmp(d_com, other, 3 * sizeof(double)) == 0;
+}
+
+static struct mo_environment back_environment_of(uint32_t k, uint32_t walk)
+{
+  struct mo_environment environment = environment_of(k < TASK_CASES ? k : 0, walk);
+  if (k >= TASK_CASES)
+    set_objective(&environment, k - TASK_CASES);
+  return environment;
 }
 
 /* Backward from the end to the start, with restarts. */
 static void backward(void)
 {
   static struct mo_track tracks[PERIODS + 1];
-  uint32_t moving = 0;
-  for (uint32_t k = 0; k < TASK_CASES; k++)
+  uint32_t moving = 0, working = 0, rising = 0;
+  for (uint32_t k = 0; k < TASK_CASES + SMOOTH_CASES; k++)
     for (uint32_t walk = 0; walk < WALKS; walk++) {
-      const struct mo_environment environment = environment_of(k, walk);
+      const struct mo_environment environment = back_environment_of(k, walk);
       const struct mo_scheme scheme = scheme_of();
       struct mo_random dice;
       struct mo_course course;
       struct mo_course_adjoint adjoint, other_adjoint;
-      struct mo_outcome outcome = {0};
       double com_m[3] = {MO_WORLD_CENTER_M, MO_WORLD_CENTER_M, 0.2}, d_com[3], other[3];
       mo_random_init(&dice, 7, MO_PURPOSE_CHECK, k, walk);
       mo_course_begin(&course, &environment, &scheme, com_m, &tracks[0]);
@@ -182,11 +218,13 @@ static void backward(void)
         mo_course_advance(&course, period < PERIODS ? 7 * period * scheme.dt_s : course.end_s,
                           com_m, &tracks[period]);
       }
-      mo_course_finish(&course, &tracks[PERIODS], NULL, &outcome);
-      mo_course_end_back(&course, &tracks[PERIODS - 1], &tracks[PERIODS], 0, &adjoint, d_com);
-      course_end_back(&course, &tracks[PERIODS - 1], &tracks[PERIODS], outcome.loss, &other_adjoint,
+      const double work_j = walk % 4 == 0 ? 0 : 500 * mo_random_uniform(&dice);
+      mo_course_end_back(&course, &tracks[PERIODS - 1], &tracks[PERIODS], work_j, &adjoint, d_com);
+      course_end_back(&course, &tracks[PERIODS - 1], &tracks[PERIODS], work_j, &other_adjoint,
                       other);
       REQUIRE(same_adjoint(&adjoint, &other_adjoint, d_com, other));
+      working += adjoint.d_work != 0;
+      rising += adjoint.d_peak != 0;
       for (uint32_t period = PERIODS; period-- > 0;) {
         const struct mo_track *track = &tracks[period], *before = period > 0 ? track - 1 : NULL;
         const double t_s = 7 * period * scheme.dt_s;
@@ -195,16 +233,16 @@ static void backward(void)
           d_light[axis] = mo_random_normal(&dice);
         if (period % 9 == 4) {
           mo_course_restart(&course, t_s, track, com_m, 3, &adjoint, d_com);
-          course_restart(&course, t_s, track, com_m, outcome.loss, 3, &other_adjoint, other);
+          course_restart(&course, t_s, track, com_m, 3, &other_adjoint, other);
           REQUIRE(same_adjoint(&adjoint, &other_adjoint, d_com, other));
         }
         mo_course_back(&course, t_s, before, track, d_light, &adjoint, d_com);
-        course_back(&course, t_s, before, track, d_light, &other_adjoint, other);
+        course_back(&course, t_s, before, track, track + 1, d_light, &other_adjoint, other);
         REQUIRE(same_adjoint(&adjoint, &other_adjoint, d_com, other));
         moving += adjoint.d_along != 0;
       }
     }
-  CHECK(moving > 0);
+  CHECK(moving > 0 && working > 0 && rising > 0);
 }
 
 /* Losses whose exponents are limited, and a fall that would overflow. */
@@ -235,6 +273,7 @@ static void functions(void)
                  z = 7 * mo_random_uniform(&dice) - 1;
     CHECK(course_sin(x) == mo_fast_sin(x));
     CHECK(course_exp(-fabs(3 * x)) == mo_fast_exp(-fabs(3 * x)));
+    CHECK(course_log(fabs(x)) == mo_fast_log(fabs(x)));
     CHECK(course_length(x, y) == mo_distance(x, y));
     CHECK(course_length(x, 1e-17 * y) == mo_distance(x, 1e-17 * y));
     CHECK(course_length(1e-150 * z, 1e-150 * y) == mo_distance(1e-150 * z, 1e-150 * y));

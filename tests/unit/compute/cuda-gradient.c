@@ -1,11 +1,13 @@
 /* cuda-gradient.c: how gradient batches are laid out for the device. */
 #include "../make.h"
+#include "../rollout/objective-cases.h"
 #include "../rollout/task-cases.h"
 
 #include "compute/cuda/gradient_pass.h"
 #include "compute/cuda/gradient_plan.h"
 #include "compute/cuda/gradient_tape.h"
 #include "rollout/damage.h"
+#include "rollout/scene.h"
 
 #include <stdbool.h>
 
@@ -395,6 +397,64 @@ static void special_rows(void)
   mo_gradient_plan_free(&plain);
 }
 
+/* Tasks with a tally: those that need the work of the springs, and those without a gradient. */
+static void tallies(void)
+{
+  struct mo_robot *robots = make_batch();
+  struct mo_environment *environments = make_zeros(ROBOTS, sizeof(*environments));
+  struct mo_gradient_plan plan = {0};
+  const struct mo_physics physics = mo_paper_physics();
+  uint32_t works = 0;
+  for (uint32_t i = 0; i < ROBOTS; i++) {
+    environments[i] = *robots[i].environment;
+    if (i % 3 == 1)
+      set_objective(&environments[i], i % SMOOTH_CASES);
+    environments[i].factors = mo_factors_ones();
+    environments[i].factors.stiffness = 1 + 0.1 * (i % 4);
+    robots[i].environment = &environments[i];
+  }
+  REQUIRE_OK(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan));
+  CHECK(plan.works);
+  for (uint32_t j = 0; j < plan.n_rows; j++) {
+    const struct mo_gp_course *course = plan.courses + j;
+    const uint32_t robot = plan.rows[j].robot;
+    CHECK(course->is_plain == (robot == MO_GP_NO_ROBOT || robot % 3 != 1));
+    CHECK(course->works == (!course->is_plain && mo_task_needs_work(&environments[robot].task)));
+    if (course->works)
+      CHECK(course->stiffness_n_per_m ==
+            mo_scene_constants(&environments[robot], &physics).stiffness_n_per_m);
+    works += course->works;
+  }
+  CHECK(works > 10 && works < ROBOTS / 3);
+  for (uint32_t i = 0; i < ROBOTS; i++)
+    if (mo_task_needs_work(&environments[i].task))
+      environments[i].task = (struct mo_task){0};
+  REQUIRE_OK(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan));
+  CHECK(!plan.works && plan.courses != NULL);
+  set_objective(&environments[40], SMOOTH_CASES);
+  CHECK(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan) == MO_ERR_UNSUPPORTED);
+  mo_gradient_plan_free(&plan);
+}
+
+/* With the work, every tape has sums of activations; it moves nothing else. */
+static void tape_of_work(void)
+{
+  const struct mo_gp_group g = {.n_rows = 32, .n_masses = 3001, .n_chunks = 700, .n_outputs = 20};
+  for (uint32_t k = 0; k < 4; k++) {
+    struct mo_gp_time time = in_steps(1000, k % 2 == 0 ? 1 : 4, k >= 2);
+    const struct mo_gp_tape without = mo_gp_tape_of(&g, time);
+    time.works = true;
+    const struct mo_gp_tape with = mo_gp_tape_of(&g, time);
+    if (k > 0) {
+      CHECK(memcmp(&with, &without, sizeof(with)) == 0);
+      continue;
+    }
+    CHECK(with.input == without.input && with.d_output == without.d_output);
+    CHECK(with.d_activation == without.bytes);
+    CHECK(with.bytes - without.bytes == MO_GP_ALIGN(700 * MO_GP_LANES * sizeof(float)));
+  }
+}
+
 /* Push and sums of activations are on the tape of `split` alone, whatever its control period. */
 static void tape_of_split(void)
 {
@@ -537,6 +597,8 @@ static const struct check_case cases[] = {
     {"the tape of control periods", passes_of_periods},
     {"the tape of the integrator split", tape_of_split},
     {"tasks, profiles and damage", special_rows},
+    {"efficient, jump and sums", tallies},
+    {"the tape with the work of the springs", tape_of_work},
     {"what a group costs", cost_of_a_group},
     {"groups in halves", halves},
     {"small groups stay whole", no_halves_of_small_groups},

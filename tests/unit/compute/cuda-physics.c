@@ -311,6 +311,56 @@ static void springs(void)
   CHECK(isfinite(lane_spring(1, &none, 0.1f)) && isfinite(lane_spring(1, &short_one, 0.1f)));
 }
 
+/* k / 2 · max(after² − before², 0). */
+static double work64(const struct mo_physics *p, double rest, const double *d, double now,
+                     double before)
+{
+  const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+  const double a = length - rest * (1 + p->constants.actuation * now),
+               b = length - rest * (1 + p->constants.actuation * before);
+  return 0.5 * p->constants.stiffness_n_per_m * fmax(a * a - b * b, 0);
+}
+
+/* The work of new outputs on a spring, and its derivatives. */
+static void work(void)
+{
+  const struct mo_physics physics = mo_paper_physics();
+  const float stiffness = (float)physics.constants.stiffness_n_per_m,
+              actuation = (float)physics.constants.actuation;
+  int gains = 0;
+  mo_random_init(&dice, 14, MO_PURPOSE_CHECK, 0, 0);
+  for (int n = 0; n < 3000; n++) {
+    const float d[3] = {(float)uniform(-0.1, 0.1), (float)uniform(-0.1, 0.1),
+                        (float)uniform(0.02, 0.1)},
+                rest = lane_rest(n % 2 == 0);
+    /* the output, the one before, and the vector between the ends */
+    double x[5] = {uniform(-1, 1), uniform(-1, 1), d[0], d[1], d[2]}, size = 0, error = 0;
+    const struct lane_length length = lane_length_of(lane_squared(d));
+    const struct lane_work w = lane_work_of(&length, rest, actuation, (float)x[0], (float)x[1]);
+    const struct lane_work_adjoint adjoint =
+        lane_work_back(stiffness, &length, rest, actuation, &w);
+    const double found[5] = {adjoint.activation, adjoint.activation_before, adjoint.along * d[0],
+                             adjoint.along * d[1], adjoint.along * d[2]};
+    CHECK_NEAR(0.5 * stiffness * fmaxf(w.gain, 0), work64(&physics, rest, x + 2, x[0], x[1]), 1e-4);
+    for (int k = 0; k < 5; k++) {
+      const double at = x[k], h = 1e-7;
+      x[k] = at + h;
+      const double up = work64(&physics, rest, x + 2, x[0], x[1]);
+      x[k] = at - h;
+      const double down = work64(&physics, rest, x + 2, x[0], x[1]);
+      x[k] = at;
+      size += pow((up - down) / (2 * h), 2);
+      error += pow((up - down) / (2 * h) - found[k], 2);
+    }
+    gains += w.gain > 0;
+    if (fabs((double)w.gain) > 1e-6)
+      CHECK(sqrt(error) <= 1e-3 * sqrt(size));
+    const struct lane_work_adjoint none = lane_work_back(0, &length, rest, actuation, &w);
+    CHECK(none.activation == 0 && none.activation_before == 0 && none.along == 0);
+  }
+  CHECK(gains > 1000 && gains < 2000);
+}
+
 static double light64(enum mo_sensor sensor, double distance)
 {
   return sensor == MO_SENSOR_INVERSE_SQUARE ? 1 / (distance * distance + 1e-4)
@@ -341,5 +391,6 @@ static const struct check_case cases[] = {{"terrain", terrain},
                                           {"masses on the ground", lying},
                                           {"values that are not finite", insanity},
                                           {"springs", springs},
+                                          {"the work of new outputs", work},
                                           {"light", lights}};
 CHECK_MAIN(cases)
