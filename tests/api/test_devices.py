@@ -213,6 +213,21 @@ def test_devices_compute_both_integrators(start, integrator):
     assert devices(service)["items"][0]["rollouts_done"] > 0
 
 
+def test_devices_learn_every_objective(start):
+    """Custom grids are all that devices refuse."""
+    service = start(*FLAGS, environment=fake(devices=1))
+    worlds = [{"task": {"guide": {"kind": "turning", "turn_rad_per_s": 1}, "objective": objective}}
+              for objective in ("efficient", "jump", {"travel": 1, "work_j": -1e-5})]
+    grid = {"terrain": {"kind": "grid", "spacing_m": 1, "heights_m": [[0, 0], [0, 0]]}}
+    few_shot = {**CAMPAIGN, "mode": "few-shot", "generations": 1, "population": 8}
+    training = {**TRAINING, "validation": {"every_steps": 3, "designs": 4}}
+    for kind, request in (("trainings", training), ("campaigns", few_shot)):
+        ended = run(service, kind, {**request, "environments": worlds, "device": "cuda"})
+        assert (ended["state"], ended["device"]) == ("succeeded", "cuda"), ended
+        asked = {**request, "environments": [*worlds, {**worlds[1], **grid}], "device": "cuda"}
+        assert "terrains of kind" in refused(service, kind, asked)
+
+
 @pytest.fixture(scope="module")
 def undisturbed():
     """The results of the jobs on one device."""

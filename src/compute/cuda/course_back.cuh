@@ -23,6 +23,19 @@ MO_COURSE double course_log(double x)
   return exponent * 0x1.62e42fefa2p-1 + (exponent * 0x1.9ef35793c7673p-41 + 2 * (s + s * sum));
 }
 
+/* Returns whether a term has a case below: all that have a derivative. */
+MO_COURSE bool course_has_case(uint32_t term)
+{
+  switch (term) {
+  case MO_OBJECTIVE_REACH:
+  case MO_OBJECTIVE_CLIMB:
+  case MO_OBJECTIVE_EFFICIENT:
+  case COURSE_MEASURE(DISPLACEMENT):
+  case COURSE_MEASURE(WORK): return true;
+  default: return course_need(term) != 0;
+  }
+}
+
 /* ---- terms, as in course_terms.h ---- */
 
 MO_COURSE bool course_is_sum(const struct mo_course *course)

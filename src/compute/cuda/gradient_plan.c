@@ -3,6 +3,7 @@
  * them. */
 #include "compute/cuda/gradient_plan.h"
 
+#include "compute/cuda/course_back.cuh"
 #include "compute/cuda/plan.h"
 
 #include "base/thread.h"
@@ -307,6 +308,14 @@ static size_t groups_at_most(const struct mo_gp_options *options)
   return options->shard / fewest + (size_t)2;
 }
 
+static bool has_gradient(const struct mo_task *task)
+{
+  bool has = task->objective == MO_OBJECTIVE_SUM || course_has_case((uint32_t)task->objective);
+  for (uint32_t i = 0; i < task->n_terms; i++)
+    has = has && course_has_case(task->terms[i]);
+  return has;
+}
+
 static void form_shards(void *context, size_t first, size_t end)
 {
   for (struct shard *s = (struct shard *)context + first; s < (struct shard *)context + end; s++) {
@@ -314,8 +323,7 @@ static void form_shards(void *context, size_t first, size_t end)
     s->end = s->n;
     for (uint32_t i = 0; i < s->n; i++) {
       const struct mo_environment *environment = s->robots[s->first + i].environment;
-      if (s->status == MO_OK &&
-          (environment->grid != NULL || mo_task_measures(&environment->task) != 0))
+      if (s->status == MO_OK && (environment->grid != NULL || !has_gradient(&environment->task)))
         s->status = MO_ERR_UNSUPPORTED;
       s->is_special |= mo_environment_is_special(environment);
       s->has_damage |= environment->damage.cut != 0;

@@ -433,6 +433,8 @@ static void tallies(void)
   CHECK(!plan.works && plan.courses != NULL);
   set_objective(&environments[40], SMOOTH_CASES);
   CHECK(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan) == MO_ERR_UNSUPPORTED);
+  environments[40].task = (struct mo_task){.objective = (enum mo_objective)77}; /* of the future */
+  CHECK(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan) == MO_ERR_UNSUPPORTED);
   mo_gradient_plan_free(&plan);
 }
 
