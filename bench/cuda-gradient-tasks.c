@@ -24,6 +24,9 @@ enum { EACH = 6, SINGLE = EACH * KINDS };
 #define MEDIAN_ERROR 0.1
 #define MEDIAN_NORM  0.05 /* relative, of the norm */
 #define LOSS_ERROR   5e-3 /* relative, of the median */
+#define TALLY_SLACK                                                                                \
+  3 /* times these for tasks with a tally: restarts are more frequent, and the                     \
+       ground of `efficient` is steep */
 
 /* Returns the task of robots of a kind; of those without one, it is plain. */
 static struct mo_task task_of(uint32_t kind)
@@ -132,6 +135,7 @@ static void check_singles(const struct scene *scene)
     on_threads(sysconf(_SC_NPROCESSORS_ONLN), compute_singles, &s);
     double worst = 0, worst_cosine = 1, worst_norm = 0, worst_loss = 0, worst_value = 0;
     uint32_t worst_task = 0;
+    int close = 1;
     for (uint32_t k = 0; k < KINDS; k++) {
       double error[EACH], cosine[EACH], norm[EACH], loss[EACH], value[EACH];
       for (uint32_t e = 0; e < EACH; e++) {
@@ -161,18 +165,21 @@ static void check_singles(const struct scene *scene)
           "%.1e, loss %.1e, value %.1e\n",
           name_of(k), median, error[EACH - 1], quantile(cosine, EACH, 0.5),
           quantile(norm, EACH, 0.5), quantile(loss, EACH, 0.5), quantile(value, EACH, 0.5));
+      const double slack = kinds[kind].looser * (k < TALLIES ? 1 : TALLY_SLACK),
+                   of_norm = norm[EACH / 2 - 1], of_loss = loss[EACH / 2 - 1],
+                   of_value = value[EACH / 2 - 1];
+      close &= median <= MEDIAN_ERROR * slack && of_norm <= MEDIAN_NORM * slack &&
+               of_loss <= LOSS_ERROR * slack && of_value <= LOSS_ERROR * slack;
       worst_cosine = fmin(worst_cosine, cosine[EACH / 2]);
-      worst_norm = fmax(worst_norm, norm[EACH / 2 - 1]);
-      worst_loss = fmax(worst_loss, loss[EACH / 2 - 1]);
-      worst_value = fmax(worst_value, value[EACH / 2 - 1]);
+      worst_norm = fmax(worst_norm, of_norm);
+      worst_loss = fmax(worst_loss, of_loss);
+      worst_value = fmax(worst_value, of_value);
       if (median > worst) {
         worst = median;
         worst_task = k;
       }
     }
-    const double looser = kinds[kind].looser;
-    expect(worst <= MEDIAN_ERROR * looser && worst_norm <= MEDIAN_NORM * looser &&
-               worst_loss <= LOSS_ERROR * looser && worst_value <= LOSS_ERROR * looser,
+    expect(close,
            "every kind, %s, %u steps, periods of %u, bound %g, restart weight %g: the largest "
            "median error %.3g (%s), the smallest cosine %.6f, of a norm %.1e, of a loss %.1e, of a "
            "value %.1e",
