@@ -24,6 +24,7 @@ enum { EACH = 6, SINGLE = EACH * KINDS };
 #define MEDIAN_ERROR 0.1
 #define MEDIAN_NORM  0.05 /* relative, of the norm */
 #define LOSS_ERROR   5e-3 /* relative, of the median */
+#define NO_GRADIENT  1e-5 /* of a norm */
 #define TALLY_SLACK                                                                                \
   3 /* times these for tasks with a tally: restarts are more frequent, and the                     \
        ground of `efficient` is steep */
@@ -114,7 +115,7 @@ static void check_singles(const struct scene *scene)
     double bound, restart_weight; /* 0: no bound; clipped */
     double looser;                /* times the bounds of errors */
   } kinds[] = {{60, 4, MO_INTEGRATOR_PAPER, 0, 0, 1},   {60, 0, MO_INTEGRATOR_PAPER, 0, 0, 1},
-               {60, 7, MO_INTEGRATOR_SPLIT, 0, 0, 1},   {60, 100, MO_INTEGRATOR_SPLIT, 0, 0, 1},
+               {60, 7, MO_INTEGRATOR_SPLIT, 0, 0, 2},   {60, 100, MO_INTEGRATOR_SPLIT, 0, 0, 1},
                {60, 4, MO_INTEGRATOR_PAPER, 0.1, 0, 1}, {60, 4, MO_INTEGRATOR_PAPER, 0.1, 2, 1},
                {60, 7, MO_INTEGRATOR_SPLIT, 0.1, 2, 1}, {120, 4, MO_INTEGRATOR_PAPER, 0, 0, 4}};
   struct mo_controller *controller = weights_of(CONTROLLER);
@@ -150,8 +151,9 @@ static void check_singles(const struct scene *scene)
         loss[e] = fabs(r.call.outcomes[0].loss / s.outcomes[i].loss - 1);
         value[e] = fabs(r.call.outcomes[0].value - s.outcomes[i].value) /
                    fmax(1, fabs(s.outcomes[i].value));
-        if (like.norm_reference == 0) { /* it stays within the floor of `efficient` */
-          error[e] = like.norm == 0 ? 0 : INFINITY;
+        /* 0 within the floor of `efficient`; rounding where a path of one period is straight. */
+        if (like.norm_reference < NO_GRADIENT) {
+          error[e] = like.norm < NO_GRADIENT ? 0 : INFINITY;
           cosine[e] = 1;
           norm[e] = 0;
         }

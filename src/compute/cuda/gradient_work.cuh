@@ -10,6 +10,12 @@
 
 enum { MO_GK_WORK_AHEAD = 4 }; /* chunks loaded at a time */
 
+/* Springs' gains are added as integers in this unit, so that the sum does not depend on the lanes
+ * and chunks that a group gives a robot's springs: a robot has the same bits in every batch. Sums
+ * below 2^17 m² are exact as doubles. */
+#define MO_GK_WORK_UNIT_M2 (1.0f / 68719476736.0f) /* 2^-36 */
+#define MO_GK_WORK_MOST_M2 1e4f /* of one spring; only diverging robots reach it */
+
 template <class Walker>
 static __device__ __forceinline__ const mo_gp_course &pair_task(const Walker &w, int i)
 {
@@ -66,7 +72,7 @@ static __device__ __forceinline__ void add_gains(const Forward &w, uint32_t step
                                                  int from, int n, int part)
 {
   const uint32_t broken = w.broken(step);
-  float sum[2] = {0, 0};
+  long long sum[2] = {0, 0};
 #pragma unroll 1
   for (int c = from; c < n; c += MO_GK_WORK_AHEAD) {
     work_chunks chunks;
@@ -85,16 +91,17 @@ static __device__ __forceinline__ void add_gains(const Forward &w, uint32_t step
       const lane_work work =
           lane_work_of(&length, lane_rest(MO_GP_SPRING_DIAGONAL(s)), w.constants_of(s).actuation,
                        activation_of(now), activation_of(chunks.before[i]));
-      const float gain = fmaxf(work.gain, 0.0f);
-      sum[0] += row == 0 ? gain : 0.0f;
-      sum[1] += row == 0 ? 0.0f : gain;
+      const long long gain =
+          __float2ll_rn(fminf(fmaxf(work.gain, 0.0f), MO_GK_WORK_MOST_M2) / MO_GK_WORK_UNIT_M2);
+      sum[0] += row == 0 ? gain : 0;
+      sum[1] += row == 0 ? 0 : gain;
     }
   }
 #pragma unroll
   for (int i = 0; i < Forward::ROWS / Forward::PAIRS; i++) {
-    const float all = sum_lanes(sum[i]);
+    const long long all = sum_lanes(sum[i]);
     if (w.lane == 0 && (works >> i & 1u) != 0)
-      pair_ending(w, i).energy_m2[part] += (double)all;
+      pair_ending(w, i).energy_m2[part] += (double)all * (double)MO_GK_WORK_UNIT_M2;
   }
 }
 
