@@ -211,6 +211,12 @@ static void print(struct live *live)
       {"aggregate",
        "[{settings.aggregate.kind!=mean}[, level {settings.aggregate.level:g}|, weight "
        "{settings.aggregate.weight:g}]: how losses become a score]"},
+      {"re-evaluates", "[the best {settings.re_evaluate.designs} and the champions every "
+                       "{settings.re_evaluate.every} generations in "
+                       "{settings.re_evaluate.environments} fresh worlds]"},
+      {"held out", "[{newest.held_out.mean:.4f}, 95 % interval {newest.held_out.low:.4f} to "
+                   "{newest.held_out.high:.4f}: the mean of the design with the best score, "
+                   "{newest.score.quantiles.p0:.4f}, in fresh worlds]"},
       {"measures", "[{measured}]"},
       {"learning", "[{settings.learning.parent_steps} + {settings.learning.child_steps} steps a "
                    "generation, {settings.learning.schedule.kind} from "

@@ -74,6 +74,29 @@ static void fill_aggregate(const struct ctl *ctl, json_t *request)
   json_object_set_new(request, "aggregate", aggregate);
 }
 
+/* Adds when the best designs are scored in fresh worlds, as EVERY or EVERY:ENVIRONMENTS. */
+static void fill_re_evaluate(const struct ctl *ctl, json_t *request)
+{
+  const char *text = option_text(ctl, "re-evaluate", NULL);
+  long long every = 0, environments = 0;
+  char *end = NULL;
+  if (text == NULL)
+    return;
+  every = strtoll(text, &end, 10);
+  const bool has_worlds = end != text && *end == ':';
+  if (has_worlds)
+    environments = strtoll(end + 1, &end, 10);
+  if (every < 1 || (has_worlds && environments < 1) || *end != '\0')
+    fail(STATUS_USAGE,
+         "--re-evaluate: \"%s\" is not a number of generations, or one and a number of "
+         "environments, e.g. 10 or 10:64",
+         text);
+  json_t *value = need(json_pack("{s:I}", "every", (json_int_t)every));
+  if (has_worlds)
+    json_object_set_new(value, "environments", json_integer(environments));
+  json_object_set_new(request, "re_evaluate", value);
+}
+
 void run_campaign_start(struct ctl *ctl)
 {
   json_t *request = json_pack("{s:s}", "mode", ctl->operands[0]);
@@ -86,6 +109,7 @@ void run_campaign_start(struct ctl *ctl)
   request_fill_measures(ctl, request);
   fill_select_by(ctl, request);
   fill_aggregate(ctl, request);
+  fill_re_evaluate(ctl, request);
   request_fill(ctl, request);
   if (controller != NULL && strcmp(controller, "random") == 0)
     json_object_set_new(request, "controller", json_null());
@@ -126,6 +150,20 @@ static void record_champions(struct ctl *ctl, const char *id, int64_t count, con
   film_evaluation(ctl, evaluation);
 }
 
+#define HELD_OUT_COLUMNS                                                                           \
+  "|>held out=[{held_out.mean:.4f}|–]|95 % interval=[{held_out.low:.4f} to {held_out.high:.4f}|–]"
+#define CERTIFICATE_COLUMN "|certificate=[{certificate.id} ({certificate.class})|–]"
+
+/* Returns whether an item of the list has this object. */
+static bool any_has(const json_t *list, const char *name)
+{
+  const json_t *items = json_object_get(list, "items"), *item;
+  size_t i;
+  bool any = false;
+  json_array_foreach(items, i, item) any = any || json_is_object(json_object_get(item, name));
+  return any;
+}
+
 void run_campaign_champions(struct ctl *ctl)
 {
   const char *id = job_id(ctl->operands[0]), *folder = option_text(ctl, "output", NULL);
@@ -144,9 +182,13 @@ void run_campaign_champions(struct ctl *ctl)
   print_items(
       ctl, champions,
       keep(format_text(">number={number}|design={robot}|>voxels={voxels:,}|>footprint={footprint:,}"
-                       "|>score={score:.4f}%s|>distinctness={distinctiveness:.4f}|born={operator}"
-                       "|>generation={born:,}",
+                       "|>score={score:.4f}%s%s%s|>distinctness={distinctiveness:.4f}"
+                       "|born={operator}|>generation={born:,}",
+                       any_has(champions, "held_out") ? HELD_OUT_COLUMNS : "",
+                       any_has(champions, "certificate") ? CERTIFICATE_COLUMN : "",
                        measure_columns(value_at(champions, "items.0.measures")))));
+  if (!ctl->json && !ctl->quiet && *text_of(champions, "fresh_worlds") != '\0')
+    print_plain_line(stderr, "held out: %s", text_of(champions, "fresh_worlds"));
   if (records)
     record_champions(ctl, id, count, folder);
 }

@@ -244,6 +244,9 @@ static const struct option_spec campaign_start_options[] = {
      "quantile:LEVEL (default: 0.9), cvar:LEVEL (mean of the worst 1 - LEVEL of the losses; "
      "default: 0.9), mean-sd:WEIGHT (mean plus WEIGHT standard deviations, default: 1; no "
      "racing)."},
+    {"re-evaluate", 0, "EVERY[:ENVIRONMENTS]",
+     "Every EVERY generations, and in the last one, score the best designs again in fresh worlds "
+     "(default: 64), which select nothing: scores without luck."},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
     {"no-exclusions", 0, NULL, "Allow bodies that the controller was pretrained on."},
     {"schedule", 0, "NAME",

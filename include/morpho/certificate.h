@@ -206,6 +206,26 @@ uint32_t mo_certificate_top(const struct mo_certificate_settings *settings, uint
 void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
                             const struct mo_trial_score *scores, uint32_t n_designs,
                             uint32_t design, uint32_t flags, char text[MO_VERDICT_MAX]);
+
+/* A verdict in brief: the first of these that holds of a design. */
+enum mo_verdict_class {
+  MO_CLASS_NO_SCORE = 0, /* it diverges at the base */
+  MO_CLASS_IN_DOUBT = 1, /* its rank is not about kept on the finest steps (or in float64, without
+                              finer steps), or it diverges there. A design alone: its score */
+  MO_CLASS_DEPENDS = 2,  /* it is worse, or diverges, in fresh worlds or with other constants */
+  MO_CLASS_HOLDS = 3     /* no level of the certificate says otherwise */
+};
+extern const char *const mo_verdict_words[]; /* "no_score", "in_doubt", "depends", "holds", NULL */
+struct mo_verdict {
+  enum mo_verdict_class class;
+  uint32_t worse; /* as bits 1 << enum mo_axis: axes with a level at which it is worse, or diverges;
+                     without the base, precision, step and chance */
+  uint32_t finest; /* the trial with the smallest error of numerics; 0: none */
+  bool is_kept;    /* its rank, or the score of a design alone, is about kept there */
+};
+struct mo_verdict mo_certificate_brief(const struct mo_trial *trials, uint32_t n_trials,
+                                       const struct mo_trial_score *scores, uint32_t n_designs,
+                                       uint32_t design);
 /* About the list: where its order holds, holds in part, and does not, of single constants only at
  * the level with the lowest tau; the largest regret; the worst mean score; divergences. */
 void mo_certificate_list_verdict(const struct mo_trial *trials, uint32_t n_trials,

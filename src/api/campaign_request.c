@@ -8,6 +8,8 @@
 #include <string.h>
 
 #include "api/requests.h"
+#include "base/words.h"
+#include "certificate/held_out.h"
 #include "store/fields.h"
 #include "world/environment.h"
 #include "world/factors.h"
@@ -325,6 +327,34 @@ static void check_aggregate(struct mo_json *json, const struct mo_parsed_campaig
                      "or another aggregate");
 }
 
+/* Checks that there are fresh worlds of the kind of the campaign's. */
+static void check_re_evaluation(struct mo_json *json, const struct mo_parsed_campaign *parsed)
+{
+  const struct mo_campaign_record *record = &parsed->request.record;
+  const struct mo_parts *parts = &parsed->parts;
+  const uint32_t wanted = record->re_evaluate.environments;
+  const bool is_listed = parts->environments != NULL;
+  const int set = is_listed ? -1 : mo_word_index(mo_set_words, mo_parts_set(parts));
+  const struct mo_certificate_base base = {.environments = parts->environments,
+                                           .n_environments = parts->n_environments,
+                                           .set = set >= 0 ? mo_set_words[set] : NULL};
+  if (record->re_evaluate.every == 0)
+    return;
+  if (!mo_modes[record->settings.mode].makes_children)
+    mo_json_fault_at(json, 0, "/re_evaluate",
+                     "a study does not support this: its client decides which designs to score "
+                     "again; evaluate or certify them");
+  if (!is_listed && set < 0)
+    return; /* there is no such set, which is refused elsewhere */
+  const char *reason = mo_fresh_refuses(&base);
+  if (reason != NULL)
+    mo_json_fault_at(json, 0, "/re_evaluate", "there are no fresh worlds: %s", reason);
+  else if (mo_fresh_count(&base, wanted) < wanted)
+    mo_json_fault_at(json, 0, "/re_evaluate/environments",
+                     "must be at most %u, because the held-out set of %s has no more, got %u",
+                     (unsigned)mo_fresh_count(&base, wanted), base.set, (unsigned)wanted);
+}
+
 /* Checks that if_exists is for a study, and that there is a label to find it by. */
 static void check_if_exists(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
@@ -417,6 +447,7 @@ static int check(struct mo_json *json, void *any)
   check_if_exists(json, parsed);
   check_measures(json, parsed);
   check_aggregate(json, parsed);
+  check_re_evaluation(json, parsed);
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
     mo_json_fault_at(json, 0, "/generations",
                      "%u designs in each of %u generations and in the initial population make "

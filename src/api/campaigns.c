@@ -7,6 +7,8 @@
 #include "api/jobs.h"
 #include "api/study_compare.h"
 #include "api/submission.h"
+#include "base/words.h"
+#include "certificate/held_out.h"
 #include "exchange/columns.h"
 #include "store/fields.h"
 #include "store/runner.h"
@@ -99,6 +101,14 @@ void mo_member_own_score(struct mo_text *text, const struct mo_own_score *own)
     return;
   mo_text_name(text, "own_score");
   mo_own_score_field.write(text, own);
+}
+
+void mo_member_fresh_worlds(struct mo_text *text, const struct mo_campaign_record *record)
+{
+  const int set = mo_word_index(mo_set_words, record->environment_set);
+  const struct mo_certificate_base base = {.set = set >= 0 ? mo_set_words[set] : NULL};
+  if (record->re_evaluate.every > 0)
+    mo_text_member(text, "fresh_worlds", mo_fresh_kind(&base));
 }
 
 static void write_study(struct mo_text *text, const struct mo_campaign_status *status)

@@ -8,92 +8,10 @@
 
 #include "api/job_json.h"
 #include "api/jobs.h"
-#include "jobs/certificates.h"
+#include "jobs/certificate_figures.h"
 #include "rollout/physics.h"
 
 /* ---- content ---- */
-
-void mo_report_free(struct mo_report *report)
-{
-  for (uint32_t t = 0; report->losses != NULL && t < report->n_trials; t++)
-    free(report->losses[t]);
-  free(report->losses);
-  free(report->measures);
-  free(report->scores);
-  free(report->lists);
-  free(report->trials);
-  free(report->genotypes);
-  mo_environments_free(report->environments, report->base.n_environments);
-}
-
-/* Reads the losses of the trial t. */
-static int load_losses(struct mo_store *store, struct mo_report *report, uint32_t t)
-{
-  const struct mo_trial *trial = &report->trials[t];
-  const size_t n = (size_t)report->n_designs * trial->n_environments;
-  report->losses[t] = malloc(n * sizeof(**report->losses));
-  if (t == 0 && trial->measures)
-    report->measures = malloc(n * sizeof(*report->measures));
-  if (report->losses[t] == NULL || (t == 0 && trial->measures && report->measures == NULL))
-    return MO_ERR_NO_MEMORY;
-  return mo_store_certificate_losses(store, report->status.job.id, t, report->n_designs,
-                                     trial->n_environments, report->losses[t],
-                                     t == 0 ? report->measures : NULL);
-}
-
-static int compute(struct mo_report *report)
-{
-  report->scores =
-      calloc((size_t)report->n_trials * report->n_designs + 1, sizeof(*report->scores));
-  report->lists = calloc((size_t)report->n_trials + 1, sizeof(*report->lists));
-  if (report->scores == NULL || report->lists == NULL)
-    return MO_ERR_NO_MEMORY;
-  return mo_certificate_figures(&report->status.record.settings, report->trials, report->n_trials,
-                                (const float *const *)report->losses, report->n_designs,
-                                report->scores, report->lists);
-}
-
-/* Finds out why a complete trial has no losses: since its state was read, the job has begun again
- * under other code, or has been deleted; otherwise, losses are lost. */
-static int explain_loss(struct mo_store *store, const struct mo_report *report)
-{
-  struct mo_certificate_status now;
-  const int error = mo_store_certificate(store, report->status.job.id, &now);
-  if (error != MO_OK)
-    return error;
-  return now.record.trials_done < report->status.record.trials_done ? MO_ERR_EMPTY : MO_ERR_CORRUPT;
-}
-
-int mo_report_load(struct mo_store *store, int64_t id, struct mo_report *report)
-{
-  memset(report, 0, sizeof(*report));
-  int error = mo_store_certificate(store, id, &report->status);
-  if (error == MO_OK && report->status.record.trials_done == 0)
-    error = MO_ERR_EMPTY;
-  if (error == MO_OK)
-    error = mo_store_job_designs(store, id, &report->genotypes, &report->n_designs);
-  if (error == MO_OK)
-    error = mo_store_certificate_base(store, &report->status, &report->environments, &report->base);
-  if (error == MO_OK)
-    error = mo_store_certificate_classes(store, id, &report->classes);
-  if (error == MO_OK)
-    error = mo_certificate_trials(&report->status.record.settings, &report->base, &report->trials,
-                                  &report->n_trials);
-  if (error == MO_OK && (report->n_trials != report->status.record.n_trials ||
-                         report->n_designs != report->status.job.n_designs))
-    error = MO_ERR_CORRUPT;
-  if (error != MO_OK)
-    return error;
-  report->losses = calloc(report->n_trials, sizeof(*report->losses));
-  if (report->losses == NULL)
-    return MO_ERR_NO_MEMORY;
-  for (uint32_t t = 0; t < report->status.record.trials_done && error == MO_OK; t++)
-    error = load_losses(store, report, t);
-  if (error == MO_ERR_NOT_FOUND)
-    error = explain_loss(store, report);
-  report->n_trials = report->status.record.trials_done;
-  return error == MO_OK ? compute(report) : error;
-}
 
 /* Returns the flags of a design in the base, and its largest measures; NaN: unknown. */
 static uint32_t flags_of(const struct mo_report *report, uint32_t design, double *peak_strain,
@@ -168,6 +86,35 @@ static struct mo_genotype form_of(const struct mo_genotype *genotype)
   return form;
 }
 
+/* Writes what a verdict says in brief: its class, whether the rank is about kept on the finest
+ * steps, and the axes at whose levels the design is worse. */
+static void write_brief(struct mo_text *text, const struct mo_report *report, uint32_t d)
+{
+  const struct mo_verdict brief =
+      mo_certificate_brief(report->trials, report->n_trials, report->scores, report->n_designs, d);
+  mo_text_member(text, "class", mo_verdict_words[brief.class]);
+  mo_text_name(text, "numerics");
+  if (brief.finest > 0) {
+    const struct mo_trial_score *there =
+        &report->scores[(size_t)brief.finest * report->n_designs + d];
+    mo_text_object(text);
+    mo_text_member(text, "axis", mo_axis_words[report->trials[brief.finest].axis]);
+    mo_text_member_bool(text, "kept", brief.is_kept);
+    mo_text_member_count(text, "rank", there->rank);
+    mo_text_member_count(text, "diverged", there->diverged);
+    mo_text_add(text, "}");
+  } else {
+    mo_text_add(text, "null");
+  }
+  mo_text_open(text, "worse", "[");
+  for (unsigned axis = 0; axis < MO_AXES; axis++)
+    if (brief.worse >> axis & 1) {
+      mo_text_next(text);
+      mo_text_format(text, "\"%s\"", mo_axis_words[axis]);
+    }
+  mo_text_add(text, "]");
+}
+
 static void write_design(struct mo_text *text, const struct mo_report *report, uint32_t d)
 {
   const struct mo_genotype genotype = mo_genotype_of(MO_STORE_WORKSPACE, &report->genotypes[d]),
@@ -191,6 +138,7 @@ static void write_design(struct mo_text *text, const struct mo_report *report, u
   mo_text_member_number(text, "peak_strain", peak_strain);
   mo_text_member_number(text, "inverted_voxels", inverted_voxels);
   mo_text_member(text, "verdict", verdict);
+  write_brief(text, report, d);
   mo_text_open(text, "levels", "[");
   for (uint32_t t = 0; t < report->n_trials; t++)
     write_score(text, &report->scores[(size_t)t * report->n_designs + d]);

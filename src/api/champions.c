@@ -13,7 +13,7 @@ void mo_api_get_campaign_champions(struct mo_request *request)
 {
   struct mo_api *api = mo_api_of(request);
   struct mo_campaign_status status;
-  int64_t id, count = 12, generation = -1;
+  int64_t id, count = MO_CHAMPIONS_USUAL, generation = -1;
   uint32_t n = 0;
   if (!mo_query_number(request, "count", 1, CHAMPIONS_MAX, &count) ||
       !mo_query_number(request, "generation", 0, MO_GENERATIONS_MAX, &generation) ||
@@ -38,6 +38,7 @@ void mo_api_get_campaign_champions(struct mo_request *request)
     struct mo_text text = {0};
     mo_text_format(&text, "{\"generation\":%lld", (long long)generation);
     mo_member_own_score(&text, &status.record.own_score);
+    mo_member_fresh_worlds(&text, &status.record);
     mo_text_open(&text, "items", "[");
     for (uint32_t i = 0; i < n; i++) {
       mo_text_object(&text);
@@ -95,7 +96,7 @@ static int check(struct mo_json *json, void *any)
 static int record(struct mo_request *request, struct mo_post *post)
 {
   struct mo_request_key known;
-  struct asked asked = {.request = {.count = 12, .stride = 10, .record = NOT_GIVEN},
+  struct asked asked = {.request = {.count = MO_CHAMPIONS_USUAL, .stride = 10, .record = NOT_GIVEN},
                         .parts = {.takes_suites = true, .only_named = true}};
   int64_t id;
   if (!mo_path_job(request, &id))

@@ -89,6 +89,16 @@ static int write_campaigns(struct mo_store *store, struct mo_text *text,
   return code;
 }
 
+/* Writes the newest certificate of a robot under a controller; NULL: under any. */
+static int write_certificate(struct mo_store *store, struct mo_text *text,
+                             const struct mo_sha256 *controller, const struct mo_genotype *genotype)
+{
+  struct mo_certified certified = {.id = 0};
+  const int error = mo_store_certified(store, controller, genotype, &certified);
+  mo_member_certificate(text, &certified);
+  return error;
+}
+
 static int write_design(struct mo_api *api, struct mo_text *text, const struct mo_design *design)
 {
   int error = write_head(api, text, &design->form, design->first_seen_us);
@@ -98,6 +108,8 @@ static int write_design(struct mo_api *api, struct mo_text *text, const struct m
     mo_text_object(text);
     mo_member_robot(text, &orientation->genotype);
     mo_member_genotype(text, "genotype", &orientation->genotype);
+    if (error == MO_OK)
+      error = write_certificate(api->store, text, NULL, &orientation->genotype);
     mo_text_open(text, "scores", "[");
     for (uint32_t k = 0; k < orientation->n_scores; k++)
       write_score(text, &orientation->scores[k]);
@@ -161,6 +173,9 @@ static void write_page(struct mo_request *request, const struct mo_design_query 
       mo_text_member_number(&text, "score", rows[i].score);
       mo_member_robot(&text, &rows[i].genotype);
       mo_member_genotype(&text, "scored_genotype", &rows[i].genotype);
+      if (error == MO_OK)
+        error = write_certificate(mo_api_of(request)->store, &text, &query->controller_sha256,
+                                  &rows[i].genotype);
     }
     mo_text_add(&text, "}");
   }

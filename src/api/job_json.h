@@ -18,6 +18,9 @@ int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
 /* Writes the member "own_score" of a list with scores that the client of a study sent; nothing if
  * the service computed them. */
 void mo_member_own_score(struct mo_text *text, const struct mo_own_score *own);
+/* Writes how the fresh worlds of re-evaluations differ in kind from the campaign's, as the member
+ * "fresh_worlds" of a list of designs; null: they do not. Nothing if the campaign has none. */
+void mo_member_fresh_worlds(struct mo_text *text, const struct mo_campaign_record *record);
 /* Writes notes with their places, as a member. */
 void mo_member_notes(struct mo_text *text, const char *name, const struct mo_design_note *notes,
                      uint32_t n);

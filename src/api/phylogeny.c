@@ -10,6 +10,7 @@
 #include "api/jobs.h"
 #include "api/scene.h"
 #include "api/tables.h"
+#include "base/words.h"
 #include "http/download.h"
 #include "store/studies.h"
 
@@ -23,7 +24,8 @@ static const char newick_type[] = "text/x-nh; charset=utf-8";
 
 static const char csv_heading[] =
     "id,ancestor_list,origin_time,destruction_time,operator,"
-    "score,design,robot,genotype,voxels,footprint,masses,springs,lower_bound";
+    "score,design,robot,genotype,voxels,footprint,masses,springs,lower_bound,held_out_mean,"
+    "held_out_low,held_out_high,certificate,certificate_class";
 
 void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row, int64_t end,
                             const struct mo_phylogeny_shape *shape)
@@ -55,6 +57,21 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
   mo_genotype_write(text, &row->genotype);
   mo_text_format(text, ",%u,%u,%u,%u,%d", row->size.voxels, row->size.footprint, row->size.masses,
                  row->size.springs, row->is_cut);
+  const struct mo_interval interval = mo_held_out_interval(&row->held_out);
+  const double held_out[3] = {row->held_out.worlds > 0 ? row->held_out.mean : (double)NAN,
+                              interval.lo, interval.hi};
+  for (int i = 0; i < 3; i++) {
+    mo_text_add(text, ",");
+    if (isfinite(held_out[i]))
+      mo_text_json_number(text, held_out[i]);
+  }
+  mo_text_add(text, ",");
+  if (row->certified.id > 0)
+    mo_text_format(text, "%lld", (long long)row->certified.id);
+  mo_text_format(text, ",%s",
+                 row->certified.id > 0 && row->certified.verdict >= 0
+                     ? mo_word(mo_verdict_words, (unsigned)row->certified.verdict)
+                     : "");
   for (uint32_t m = 0; m < shape->n_measures; m++) {
     mo_text_add(text, ",");
     if (m < row->n_measures && isfinite(row->measures[m]))
@@ -125,6 +142,7 @@ void mo_api_get_campaign_population(struct mo_request *request)
     struct mo_text text = {0};
     mo_text_format(&text, "{\"generation\":%lld,\"size\":%u", (long long)generation, size);
     mo_member_own_score(&text, &status.record.own_score);
+    mo_member_fresh_worlds(&text, &status.record);
     write_rows(&text, rows, n > 0 ? (size_t)n : 0, &status.words);
     offset += n;
     if (offset < size)
@@ -317,7 +335,7 @@ static int more_lines(void *context, struct mo_text *text)
     mo_text_add(text, "\n");
   }
   if (!lines->headed && lines->shape.root >= 0) {
-    mo_text_format(text, "%lld,\"[none]\",0,inf,root,,,,,,,,", (long long)lines->shape.root);
+    mo_text_format(text, "%lld,\"[none]\",0,inf,root,,,,,,,,,,,,,", (long long)lines->shape.root);
     for (uint32_t m = 0; m < lines->words.n_measures; m++)
       mo_text_add(text, ",");
     mo_text_add(text, "\n");

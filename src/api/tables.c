@@ -495,13 +495,15 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   "id mode preset name " JOB " phase controller.name controller.sha256 group.id group.replicate:n" \
   " settings.seed:n settings.population:n settings.generations:n progress.generation:n"            \
   " progress.designs:n newest.score.mean:n newest.score.quantiles.p0:n newest.diversity:n end"     \
-  " result.controller.sha256"
+  " result.controller.sha256 newest.held_out.mean:n newest.held_out.low:n newest.held_out.high:n"
 #define DESIGNS                                                                                    \
   "id:d genotype:g voxels:n masses:n springs:n first_seen_at score:n"                              \
-  " robot scored_genotype:g"
+  " robot scored_genotype:g certificate.id certificate.class"
 #define BORN                                                                                       \
   "number:n id:d robot genotype:g parents operator born:n died:n score:n voxels:n"                 \
-  " footprint:n masses:n springs:n lower_bound:n measures"
+  " footprint:n masses:n springs:n lower_bound:n measures held_out.generation:n"                   \
+  " held_out.worlds:n held_out.mean:n held_out.standard_error:n held_out.low:n held_out.high:n"    \
+  " held_out.diverged:n certificate.id certificate.class"
 #define CHAMPIONS BORN " distinctiveness:n"
 #define CONTROLLERS                                                                                \
   "name sha256 bytes:n parameters:n sensor control_period_s:n workspace metadata stored_at"

@@ -124,11 +124,22 @@ static void add_flags(struct mo_text *text, uint32_t flags)
   }
 }
 
-/* Appends what a finer step does to the only design, which has no rank that could say it. */
+/* Returns whether a rank is about kept at a level; of the only design, which has no rank that could
+ * change, whether its score is. */
+static bool is_kept_at(const struct about *about, uint32_t t)
+{
+  const struct mo_trial_score *here = score_at(about, t), *base = score_at(about, 0);
+  const double few = fmax(1, MO_VERDICT_RANKS * about->n_designs);
+  if (here->diverged > 0)
+    return false;
+  return about->n_designs == 1 ? !(fabs(here->change) >= MO_VERDICT_CHANGE)
+                               : fabs((double)here->rank - base->rank) <= few;
+}
+
+/* Appends what a finer step does to the only design. */
 static void add_numerics_alone(struct mo_text *text, const struct about *about, uint32_t t)
 {
-  const bool is_kept = !(fabs(score_at(about, t)->change) >= MO_VERDICT_CHANGE);
-  mo_text_add(text, is_kept                  ? "Keeps its score "
+  mo_text_add(text, is_kept_at(about, t)     ? "Keeps its score "
                     : worse_by(about, t) > 0 ? "Is worse "
                                              : "Its score changes ");
 }
@@ -137,7 +148,6 @@ static void add_numerics(struct mo_text *text, const struct about *about)
 {
   const uint32_t t = finest(about->trials, about->n_trials);
   const struct mo_trial_score *here = score_at(about, t), *base = score_at(about, 0);
-  const double few = fmax(1, MO_VERDICT_RANKS * about->n_designs);
   if (t == 0)
     return;
   next_sentence(text);
@@ -151,7 +161,7 @@ static void add_numerics(struct mo_text *text, const struct about *about)
     add_numerics_alone(text, about, t);
   else if (here->rank == base->rank)
     mo_text_add(text, "Keeps its rank ");
-  else if (fabs((double)here->rank - base->rank) <= few)
+  else if (is_kept_at(about, t))
     mo_text_format(text, "About keeps its rank (%u to %u) ", (unsigned)base->rank,
                    (unsigned)here->rank);
   else
@@ -295,6 +305,33 @@ void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
   if (words.size == 0)
     mo_text_format(&words, "Scores %s; no axis says what changes it.",
                    ROUNDED(score_at(&about, 0)->score));
+}
+
+/* ---- in brief ---- */
+
+const char *const mo_verdict_words[] = {"no_score", "in_doubt", "depends", "holds", NULL};
+
+/* Returns whether an axis changes what a design may depend on: not the numerics, nor luck. */
+static bool is_of_conditions(enum mo_axis axis)
+{
+  return axis == MO_AXIS_HELD_OUT || axis == MO_AXIS_WORLDS || is_of_one(axis);
+}
+
+struct mo_verdict mo_certificate_brief(const struct mo_trial *trials, uint32_t n_trials,
+                                       const struct mo_trial_score *scores, uint32_t n_designs,
+                                       uint32_t design)
+{
+  const struct about about = {trials, scores, n_trials, n_designs, design};
+  struct mo_verdict brief = {.finest = finest(trials, n_trials)};
+  for (uint32_t t = 1; t < n_trials; t++)
+    if (is_of_conditions(trials[t].axis) && worse_by(&about, t) > 0)
+      brief.worse |= UINT32_C(1) << trials[t].axis;
+  brief.is_kept = brief.finest > 0 && is_kept_at(&about, brief.finest);
+  brief.class = score_at(&about, 0)->diverged > 0    ? MO_CLASS_NO_SCORE
+                : brief.finest > 0 && !brief.is_kept ? MO_CLASS_IN_DOUBT
+                : brief.worse != 0                   ? MO_CLASS_DEPENDS
+                                                     : MO_CLASS_HOLDS;
+  return brief;
 }
 
 /* ---- the list ---- */

@@ -26,8 +26,11 @@ struct mo_bundle_head {
 extern const struct mo_fields mo_bundle_head_fields, mo_bundle_campaign_fields,
     mo_bundle_evaluation_fields;
 void mo_bundle_write_design(struct mo_text *text, const struct mo_campaign_design *design);
+/* held_out: (n_held_out) results of the re-evaluated generation, by number; they determine
+ * row->held_out. */
 void mo_bundle_write_generation(struct mo_text *text, const struct mo_campaign_generation *row,
-                                const struct mo_campaign_member *members, uint32_t n);
+                                const struct mo_campaign_member *members, uint32_t n,
+                                const struct mo_re_evaluated *held_out, uint32_t n_held_out);
 void mo_bundle_write_score(struct mo_text *text, const struct mo_campaign_score *score);
 void mo_bundle_write_step(struct mo_text *text, const struct mo_campaign_step *step);
 
@@ -45,10 +48,12 @@ int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, 
                                struct mo_environment *environment, struct mo_message *message);
 int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_t size,
                           struct mo_campaign_design *design, struct mo_message *message);
-/* members: (room); *n: the number of members read. */
+/* members: (room); *n: the number of members read. held_out: (MO_ELITE_MAX); *n_held_out: likewise.
+ * Leaves row->held_out empty. */
 int mo_bundle_read_generation(struct mo_bundle_lines *lines, const char *line, size_t size,
                               struct mo_campaign_generation *row,
                               struct mo_campaign_member *members, uint32_t room, uint32_t *n,
+                              struct mo_re_evaluated *held_out, uint32_t *n_held_out,
                               struct mo_message *message);
 int mo_bundle_read_step(struct mo_bundle_lines *lines, const char *line, size_t size,
                         struct mo_campaign_step *step, struct mo_message *message);
@@ -105,6 +110,8 @@ struct mo_bundle_sink {
   int (*generation)(void *context, const struct mo_campaign_generation *row,
                     const struct mo_descent *births, const struct mo_campaign_member *members,
                     uint32_t n);
+  /* After its generation. */
+  int (*held_out)(void *context, const struct mo_re_evaluated *result);
   int (*step)(void *context, const struct mo_campaign_step *step);
   int (*score)(void *context, const struct mo_campaign_score *score);
   /* Returns 1 to receive the rollouts, 0 to skip them. */

@@ -335,13 +335,57 @@ static uint32_t count_cut(const struct mo_reading *reading,
   return n;
 }
 
+/* Returns whether the population has a design. */
+static bool has_member(const struct mo_reading *reading, uint32_t n_members, uint32_t number)
+{
+  for (uint32_t i = 0; i < n_members; i++)
+    if (reading->members[i].number == number)
+      return true;
+  return false;
+}
+
+/* Completes the results of a re-evaluated generation, and the row. Returns the reason why they do
+ * not match the generation, or NULL if they do. */
+static const char *check_held_out(const struct mo_reading *reading, uint32_t n_members,
+                                  struct mo_campaign_generation *row,
+                                  struct mo_re_evaluated *held_out, uint32_t n)
+{
+  const struct mo_re_evaluation *settings = &reading->campaign.record.re_evaluate;
+  uint32_t numbers[MO_ELITE_BEST_MAX];
+  double scores[MO_ELITE_BEST_MAX];
+  uint32_t n_best = n_members < settings->designs ? n_members : settings->designs;
+  if (n > 0 && settings->every == 0)
+    return "the campaign does not re-evaluate designs";
+  if (settings->every == 0)
+    n_best = 0;
+  for (uint32_t i = 0; i < n; i++) {
+    const bool has_mean = isfinite(held_out[i].mean) && isfinite(held_out[i].standard_error);
+    held_out[i].generation = row->generation;
+    held_out[i].worlds = settings->environments;
+    if ((i > 0 && held_out[i].number <= held_out[i - 1].number) ||
+        !has_member(reading, n_members, held_out[i].number))
+      return "re-evaluated designs are out of order, or not in the population";
+    if (held_out[i].diverged > held_out[i].worlds || has_mean != (held_out[i].diverged == 0) ||
+        (has_mean && !(held_out[i].standard_error >= 0)))
+      return "the result of a re-evaluated design contradicts its divergences";
+  }
+  for (uint32_t i = 0; i < n_best; i++) {
+    numbers[i] = reading->members[i].number;
+    scores[i] = reading->members[i].score;
+  }
+  row->held_out = mo_held_out_summary(settings, held_out, n, numbers, scores, n_best);
+  return NULL;
+}
+
 static int read_generation(struct mo_reading *reading, uint32_t n, const char *line, size_t size)
 {
   struct mo_campaign_generation row;
+  struct mo_re_evaluated held_out[MO_ELITE_MAX];
   struct mo_message words = {""};
-  uint32_t n_members = 0;
-  int error = mo_bundle_read_generation(reading->lines, line, size, &row, reading->members,
-                                        MO_POPULATION_MAX, &n_members, &words);
+  uint32_t n_members = 0, n_held_out = 0;
+  int error =
+      mo_bundle_read_generation(reading->lines, line, size, &row, reading->members,
+                                MO_POPULATION_MAX, &n_members, held_out, &n_held_out, &words);
   if (error != MO_OK)
     return error == MO_ERR_FORMAT ? mo_reading_refuse(reading, n, words.text) : error;
   const uint32_t generation = (uint32_t)(reading->generation + 1);
@@ -356,6 +400,8 @@ static int read_generation(struct mo_reading *reading, uint32_t n, const char *l
        (row.born_before > 0 && reading->born[row.born_before - 1].born >= generation) ||
        row.children_cut != count_cut(reading, &row)))
     fault = "the statistics do not match the population";
+  if (fault == NULL)
+    fault = check_held_out(reading, n_members, &row, held_out, n_held_out);
   if (fault != NULL)
     return mo_reading_refuse(reading, n, fault);
   reading->generation = generation;
@@ -368,6 +414,8 @@ static int read_generation(struct mo_reading *reading, uint32_t n, const char *l
     births[i] = reading->born[row.born_before + i].descent;
   error =
       reading->sink->generation(reading->sink->context, &row, births, reading->members, n_members);
+  for (uint32_t i = 0; i < n_held_out && error == MO_OK && reading->sink->held_out != NULL; i++)
+    error = reading->sink->held_out(reading->sink->context, &held_out[i]);
   free(births);
   return error;
 }

@@ -279,14 +279,20 @@ static int write_generations(struct mo_bundle_export *export, struct mo_text *ou
          export->member.size < MO_BUNDLE_PART_BYTES) {
     struct mo_campaign_generation row;
     struct mo_campaign_member *members = NULL;
+    struct mo_re_evaluated held_out[MO_ELITE_MAX];
     uint32_t n = 0;
+    int64_t n_held_out = 0;
     const int64_t read =
         mo_store_campaign_generations(export->store, id, export->after, 1, &row, 1);
     error = read < 0 ? (int)read : read == 0 ? MO_ERR_CORRUPT : MO_OK;
     if (error == MO_OK)
       error = mo_store_campaign_members(export->store, id, row.generation, &members, &n);
+    if (error == MO_OK && row.held_out.designs > 0)
+      n_held_out = mo_store_campaign_held_out(export->store, id, row.generation, held_out);
+    if (n_held_out < 0)
+      error = (int)n_held_out;
     if (error == MO_OK) {
-      mo_bundle_write_generation(&export->member, &row, members, n);
+      mo_bundle_write_generation(&export->member, &row, members, n, held_out, (uint32_t)n_held_out);
       mo_text_add(&export->member, "\n");
     }
     free(members);

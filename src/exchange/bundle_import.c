@@ -198,6 +198,11 @@ static int enter_generation(void *context, const struct mo_campaign_generation *
   return mo_import_generation(((struct entry *)context)->open, row, births, members, n);
 }
 
+static int enter_held_out(void *context, const struct mo_re_evaluated *result)
+{
+  return mo_import_held_out(((struct entry *)context)->open, result);
+}
+
 static int enter_step(void *context, const struct mo_campaign_step *step)
 {
   return mo_import_step(((struct entry *)context)->open, step);
@@ -232,6 +237,7 @@ static int enter_all(struct entry *entry)
                                              .campaign = enter_campaign,
                                              .design = enter_design,
                                              .generation = enter_generation,
+                                             .held_out = enter_held_out,
                                              .step = enter_step,
                                              .score = enter_score,
                                              .evaluation = enter_evaluation,

@@ -27,11 +27,26 @@ void mo_bundle_write_design(struct mo_text *text, const struct mo_campaign_desig
   mo_text_add(text, "}");
 }
 
+static void write_held_out(struct mo_text *text, const struct mo_re_evaluated *held_out, uint32_t n)
+{
+  mo_text_open(text, "held_out", "[");
+  for (uint32_t i = 0; i < n; i++) {
+    mo_text_object(text);
+    mo_text_member_count(text, "number", held_out[i].number);
+    mo_text_member_number(text, "mean", held_out[i].mean);
+    mo_text_member_number(text, "standard_error", held_out[i].standard_error);
+    mo_text_member_count(text, "diverged", held_out[i].diverged);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+}
+
 void mo_bundle_write_generation(struct mo_text *text, const struct mo_campaign_generation *row,
-                                const struct mo_campaign_member *members, uint32_t n)
+                                const struct mo_campaign_member *members, uint32_t n,
+                                const struct mo_re_evaluated *held_out, uint32_t n_held_out)
 {
   mo_text_add(text, "{");
-  mo_columns_members(text, &mo_generation_columns, row);
+  mo_columns_members(text, &mo_bundle_generation_columns, row);
   mo_text_member_count(text, "stored_us", (uint64_t)row->stored_us);
   mo_text_open(text, "numbers", "[");
   for (uint32_t i = 0; i < n; i++)
@@ -42,7 +57,10 @@ void mo_bundle_write_generation(struct mo_text *text, const struct mo_campaign_g
     mo_text_add(text, i > 0 ? "," : "");
     mo_text_json_number(text, members[i].score);
   }
-  mo_text_add(text, "]}");
+  mo_text_add(text, "]");
+  if (n_held_out > 0)
+    write_held_out(text, held_out, n_held_out);
+  mo_text_add(text, "}");
 }
 
 void mo_bundle_write_step(struct mo_text *text, const struct mo_campaign_step *step)
@@ -310,19 +328,52 @@ int mo_bundle_read_step(struct mo_bundle_lines *lines, const char *line, size_t 
   return mo_line_compare(lines, line, size, message);
 }
 
+/* Reads the results of a re-evaluated generation. */
+static void read_held_out(struct mo_json *json, struct mo_re_evaluated *held_out, uint32_t *n)
+{
+  struct mo_json_slice key;
+  if (!mo_json_array(json))
+    return;
+  while (mo_json_item(json)) {
+    if (*n == MO_ELITE_MAX) {
+      mo_json_fault(json, "too many designs");
+      mo_json_skip(json);
+      continue;
+    }
+    struct mo_re_evaluated *one = &held_out[(*n)++];
+    *one = (struct mo_re_evaluated){.mean = NAN, .standard_error = NAN};
+    if (mo_json_object(json))
+      while (mo_json_member(json, &key)) {
+        if (mo_json_is(key, "number"))
+          read_u32(json, UINT32_MAX - 1, &one->number);
+        else if (mo_json_is(key, "mean"))
+          read_double(json, (double)NAN, &one->mean);
+        else if (mo_json_is(key, "standard_error"))
+          read_double(json, (double)NAN, &one->standard_error);
+        else if (mo_json_is(key, "diverged"))
+          read_u32(json, MO_CERTIFICATE_HELD_OUT_MAX, &one->diverged);
+        else
+          mo_json_skip(json); /* refused when the line is compared */
+      }
+  }
+}
+
 int mo_bundle_read_generation(struct mo_bundle_lines *lines, const char *line, size_t size,
                               struct mo_campaign_generation *row,
                               struct mo_campaign_member *members, uint32_t room, uint32_t *n,
+                              struct mo_re_evaluated *held_out, uint32_t *n_held_out,
                               struct mo_message *message)
 {
   struct mo_json *json = mo_line_begin(lines, line, size);
   struct mo_json_slice key;
   uint32_t n_scores = 0;
   memset(row, 0, sizeof(*row));
-  *n = 0;
+  *n = *n_held_out = 0;
   if (mo_json_object(json))
     while (mo_json_member(json, &key)) {
-      if (mo_json_is(key, "stored_us")) {
+      if (mo_json_is(key, "held_out")) {
+        read_held_out(json, held_out, n_held_out);
+      } else if (mo_json_is(key, "stored_us")) {
         mo_json_integer(json, 0, INT64_MAX, &row->stored_us);
       } else if (mo_json_is(key, "numbers") && mo_json_array(json)) {
         while (mo_json_item(json))
@@ -337,7 +388,7 @@ int mo_bundle_read_generation(struct mo_bundle_lines *lines, const char *line, s
           else
             mo_json_skip(json);
       } else if (!mo_json_is(key, "numbers") && !mo_json_is(key, "scores")) {
-        read_member(json, key, &mo_generation_columns, row);
+        read_member(json, key, &mo_bundle_generation_columns, row);
       }
     }
   const int error = mo_line_end(lines, message);
@@ -345,7 +396,7 @@ int mo_bundle_read_generation(struct mo_bundle_lines *lines, const char *line, s
     return mo_fail(message, MO_ERR_FORMAT, "numbers and scores differ in length");
   if (error != MO_OK || lines->is_checked)
     return error;
-  mo_bundle_write_generation(&lines->again, row, members, *n);
+  mo_bundle_write_generation(&lines->again, row, members, *n, held_out, *n_held_out);
   return mo_line_compare(lines, line, size, message);
 }
 

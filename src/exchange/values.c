@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "base/words.h"
 #include "store/hash.h"
 #include "world/environment.h"
 #include "world/task_json.h"
@@ -246,6 +247,38 @@ void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design
   mo_text_member_bool(text, "lower_bound", row->is_cut);
 }
 
+void mo_member_held_out(struct mo_text *text, const struct mo_re_evaluated *held_out)
+{
+  if (held_out->worlds == 0) {
+    mo_text_member(text, "held_out", NULL);
+    return;
+  }
+  const struct mo_interval interval = mo_held_out_interval(held_out);
+  mo_text_open(text, "held_out", "{");
+  mo_text_member_count(text, "generation", held_out->generation);
+  mo_text_member_count(text, "worlds", held_out->worlds);
+  mo_text_member_number(text, "mean", held_out->mean);
+  mo_text_member_number(text, "standard_error", held_out->standard_error);
+  mo_text_member_number(text, "low", interval.lo);
+  mo_text_member_number(text, "high", interval.hi);
+  mo_text_member_count(text, "diverged", held_out->diverged);
+  mo_text_add(text, "}");
+}
+
+void mo_member_certificate(struct mo_text *text, const struct mo_certified *certified)
+{
+  if (certified->id == 0) {
+    mo_text_member(text, "certificate", NULL);
+    return;
+  }
+  mo_text_open(text, "certificate", "{");
+  mo_text_member_id(text, "id", certified->id);
+  mo_text_member(text, "class",
+                 certified->verdict >= 0 ? mo_word(mo_verdict_words, (unsigned)certified->verdict)
+                                         : NULL);
+  mo_text_add(text, "}");
+}
+
 void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
                              const struct mo_study_words *words)
 {
@@ -257,7 +290,11 @@ void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_desi
   mo_campaign_json_life(text, row);
   mo_text_format(text, ",\"voxels\":%u,\"footprint\":%u,\"masses\":%u,\"springs\":%u",
                  row->size.voxels, row->size.footprint, row->size.masses, row->size.springs);
-  if (words == NULL || words->n_measures == 0)
+  if (words == NULL)
+    return;
+  mo_member_held_out(text, &row->held_out);
+  mo_member_certificate(text, &row->certified);
+  if (words->n_measures == 0)
     return;
   mo_text_open(text, "measures", "{");
   for (uint32_t m = 0; m < words->n_measures; m++)

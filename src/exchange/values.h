@@ -54,9 +54,13 @@ void mo_environment_write(struct mo_text *text, const struct mo_environment *env
 
 /* ---- designs of campaigns ---- */
 
+/* Write the result of a re-evaluation as the member "held_out", and the newest certificate of a
+ * design as "certificate"; null: none. */
+void mo_member_held_out(struct mo_text *text, const struct mo_re_evaluated *held_out);
+void mo_member_certificate(struct mo_text *text, const struct mo_certified *certified);
 /* Writes a design of a campaign: the members of an object without its braces, so that more can
  * follow. words: the words of a study, so that its measures are written as well; NULL for a line of
- * a bundle, which has neither measures nor the robot. */
+ * a bundle, which has only what the campaign made of the design. */
 void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
                              const struct mo_study_words *words);
 /* Writes the history of the design in the campaign, as further members: parents, operator, born,

@@ -1,12 +1,13 @@
 /* campaign.c: the kind "campaign": runs one campaign, generation by generation, to its end or until
  * a request.
  *
- * A generation is a table of phases: children, learning, scores, selection and one commit, which is
- * written while the next generation runs. Everything before the commit can be repeated with the
- * same result: children depend on the population and on all designs ever born, learning continues
- * from its checkpoint, and saved losses are reread. So a campaign is a function of its settings and
- * seed, no matter what interrupts it. A campaign ends when all its generations are committed, or
- * when no child can be found; a generation without a child is not committed. */
+ * A generation is a table of phases: children, learning, scores, selection, a re-evaluation of the
+ * best, if it is due, and one commit, which is written while the next generation runs. Everything
+ * before the commit can be repeated with the same result: children depend on the population and on
+ * all designs ever born, learning continues from its checkpoint, and saved losses are reread. So a
+ * campaign is a function of its settings and seed, no matter what interrupts it. A campaign ends
+ * when all its generations are committed, or when no child can be found; a generation without a
+ * child is not committed. */
 #include <stdlib.h>
 
 #include "base/clock.h"
@@ -60,6 +61,7 @@ static const struct phase generation[] = {
     {mo_campaign_check_learned, .learns = true},
     {mo_campaign_select},
     {mo_campaign_succeed, .after_commit = true},
+    {mo_campaign_re_evaluate, .parks = true},
     {mo_campaign_commit, MO_PHASE_SAVE},
     {advance_generation},
 };

@@ -20,6 +20,7 @@ struct mo_campaign_writing {
   struct mo_campaign_loss *losses;  /* moved here from the run */
   double (*measures)[MO_MEASURES];  /* the losses' measures, moved too */
   double *means, *parent_means;     /* of the measures, and the measures of a study */
+  struct mo_re_evaluated held_out[MO_ELITE_MAX];
   struct mo_campaign_step *steps;
   uint8_t *checkpoint;
   char generation_data[480], collapse_data[256];
@@ -103,6 +104,9 @@ static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_g
                                   survivors->sizes, run->n_survivors, &row->stats);
   if (error != MO_OK)
     return error;
+  row->held_out =
+      mo_held_out_summary(&run->status.record.re_evaluate, run->held_out, run->n_held_out,
+                          survivors->numbers, survivors->scores, run->n_survivors);
   count_survivors(run, row);
   count_rollouts(run, row);
   watch_diversity(run, row);
@@ -227,10 +231,13 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
       .survivors = rows->survivors,
       .n_survivors = run->n_survivors,
       .race_pays = mo_race_pays(run),
+      .held_out = writing->held_out,
+      .n_held_out = run->n_held_out,
       .fingerprint = mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
       .workers_fingerprint = mo_back_end_fingerprint(run->jobs, MO_ON_CPU),
       .event_data = writing->generation_data,
   };
+  memcpy(writing->held_out, run->held_out, run->n_held_out * sizeof(*run->held_out));
   int error = describe_generation(run, &writing->commit.row);
   if (error == MO_OK)
     error = take_measures(run, writing);

@@ -59,6 +59,10 @@ struct mo_campaign_run {
   struct mo_campaign_rows *rows, *other_rows, all_rows[2];
   struct mo_variation_counts variation;
 
+  /* Of the current generation, if it is re-evaluated (campaign_re_evaluate.c). */
+  struct mo_re_evaluated held_out[MO_ELITE_MAX];
+  uint32_t n_held_out;
+
   struct mo_campaign_learning learning; /* campaign_learn.c */
   struct mo_campaign_scores scores;     /* campaign_score.c */
   struct mo_campaign_race race;         /* campaign_race.c */
@@ -117,6 +121,10 @@ int mo_campaign_vary(struct mo_campaign_run *run);
 int mo_campaign_select(struct mo_campaign_run *run);
 /* Copies the survivors, in order, to run->other_rows. No commit may be reading these rows. */
 int mo_campaign_succeed(struct mo_campaign_run *run);
+
+/* ---- campaign_re_evaluate.c ---- */
+/* Scores the best survivors in fresh worlds, if this is due. Call it after mo_campaign_succeed. */
+int mo_campaign_re_evaluate(struct mo_campaign_run *run);
 
 /* ---- campaign_commit.c ---- */
 /* Describes the selected generation and starts its commit, once the previous commit has ended. The

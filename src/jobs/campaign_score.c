@@ -260,17 +260,28 @@ static void show(void *context, double rollouts_per_s)
   mo_campaign_advance(run, run->scores.n_done, rollouts_per_s);
 }
 
+int mo_campaign_weights(struct mo_campaign_run *run, struct mo_compute_controller **own,
+                        struct mo_compute_controller **weights)
+{
+  struct mo_campaign_scores *scores = &run->scores;
+  const bool learns = run->learning.learner.training != NULL;
+  int error = MO_OK;
+  *own = NULL;
+  if (learns)
+    error = mo_compute_controller_create(
+        run->jobs->compute, mo_training_controller(run->learning.learner.training), own);
+  else if (scores->frozen == NULL) /* kept while the campaign runs, because devices have copies */
+    error = mo_compute_controller_create(run->jobs->compute, run->controller, &scores->frozen);
+  *weights = learns ? *own : scores->frozen;
+  return error;
+}
+
 static int compute(struct mo_campaign_run *run)
 {
   struct mo_campaign_scores *scores = &run->scores;
   struct mo_compute_controller *own = NULL;
-  const bool learns = run->learning.learner.training != NULL;
-  int error = MO_OK;
-  if (learns)
-    error = mo_compute_controller_create(
-        run->jobs->compute, mo_training_controller(run->learning.learner.training), &own);
-  else if (scores->frozen == NULL) /* kept while the campaign runs, because devices have copies */
-    error = mo_compute_controller_create(run->jobs->compute, run->controller, &scores->frozen);
+  struct mo_compute_controller *weights = NULL;
+  int error = mo_campaign_weights(run, &own, &weights);
   scores->scoring.runner = run->runner;
   scores->scoring.context = run;
   scores->scoring.take = take;
@@ -278,7 +289,7 @@ static int compute(struct mo_campaign_run *run)
   scores->scoring.n_unsaved = &scores->n_unsaved;
   scores->scoring.show = show;
   scores->scoring.measures = run->status.record.measures != 0;
-  scores->scoring.grid.block.controller = learns ? own : scores->frozen;
+  scores->scoring.grid.block.controller = weights;
   if (error == MO_OK)
     error = mo_score(&scores->scoring);
   mo_compute_controller_free(own);

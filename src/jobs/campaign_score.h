@@ -35,6 +35,10 @@ int mo_campaign_look_up(struct mo_campaign_run *run);
 uint64_t mo_campaign_n_scores(const struct mo_campaign_run *run);
 /* Scores the children, after the look-up, and the parents as well in a campaign that learns. */
 int mo_campaign_score(struct mo_campaign_run *run);
+/* Prepares the weights that score this generation for the back end. *own: to be freed by the
+ * caller; NULL: the run owns them. */
+int mo_campaign_weights(struct mo_campaign_run *run, struct mo_compute_controller **own,
+                        struct mo_compute_controller **weights);
 /* Saves the losses that are not saved yet. run: struct mo_campaign_run. */
 int mo_campaign_save_losses(void *run);
 

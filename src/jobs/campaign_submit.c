@@ -13,6 +13,7 @@
 #define CAMPAIGN_BYTES  (20 * MIB)          /* controller, packed for the kernels */
 #define CANDIDATE_BYTES ((uint64_t)3 << 9)  /* of a population: parents and children */
 #define SCORED_BYTES    ((uint64_t)4 << 10) /* a candidate's losses: computed, saved, found */
+#define WORLD_BYTES     ((uint64_t)4 << 10) /* a fresh world, with the losses of the elite */
 #define DRAWING_BYTES   (3 * MIB)           /* for a thread that redraws bodies */
 
 #define STUDY_MEASURES_MAX 2000000
@@ -60,6 +61,8 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_record *reco
   if (error != MO_OK)
     return error;
   *need = (struct mo_need){.own = CAMPAIGN_BYTES + 2 * n * CANDIDATE_BYTES};
+  if (record->re_evaluate.every > 0)
+    need->own += record->re_evaluate.environments * WORLD_BYTES;
   if (mo_modes[settings->mode].makes_children)
     need->own +=
         mo_form_set_estimate(settings->workspace, n * (settings->generations + UINT64_C(1)));

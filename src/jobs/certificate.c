@@ -13,6 +13,7 @@
 
 #include "base/clock.h"
 #include "base/thread.h"
+#include "jobs/certificate_figures.h"
 #include "jobs/certificates.h"
 #include "jobs/scoring.h"
 #include "rollout/physics.h"
@@ -456,10 +457,27 @@ static int prepare(struct run *run)
   return error;
 }
 
+/* Lists show what a certificate says of a design in brief, and must not compute it from losses. */
+static int find_verdicts(const struct run *run, uint8_t *verdicts)
+{
+  struct mo_report report;
+  const int error = mo_report_load(run->jobs->store, run->id, &report);
+  for (uint32_t d = 0; d < run->n_designs && error == MO_OK; d++)
+    verdicts[d] = (uint8_t)mo_certificate_brief(report.trials, report.n_trials, report.scores,
+                                                report.n_designs, d)
+                      .class;
+  mo_report_free(&report);
+  return error;
+}
+
 static int write_end(void *context)
 {
   const struct run *run = context;
-  return mo_store_certificate_finish(run->jobs->store, run->id);
+  uint8_t verdicts[MO_CERTIFICATE_DESIGNS_MAX];
+  const int error = find_verdicts(run, verdicts);
+  return error == MO_OK
+             ? mo_store_certificate_finish(run->jobs->store, run->id, verdicts, run->n_designs)
+             : error;
 }
 
 static int run_certificate(struct mo_runner *runner, void *context)
@@ -502,9 +520,11 @@ static void clean_up(void *context)
 /* ---- the kind ---- */
 
 struct mo_need mo_certificate_need(const struct mo_jobs *jobs, uint32_t n_designs,
-                                   enum mo_back_end back_end)
+                                   uint64_t n_rollouts, enum mo_back_end back_end)
 {
-  return (struct mo_need){.own = GROUP_BYTES +
+  /* At the end, all losses are in memory in place of a group. */
+  const uint64_t losses = n_rollouts * sizeof(float);
+  return (struct mo_need){.own = (losses > GROUP_BYTES ? losses : GROUP_BYTES) +
                                  (uint64_t)n_designs * MO_CERTIFICATE_PART * MO_MEASURES *
                                      sizeof(double) +
                                  (uint64_t)mo_back_end_window(jobs, back_end) * FLIGHT_BYTES};
@@ -515,7 +535,8 @@ static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
   struct mo_certificate_status status;
   const int error = mo_store_certificate(jobs->store, id, &status);
   if (error == MO_OK)
-    *need = mo_certificate_need(jobs, status.job.n_designs, status.job.back_end);
+    *need = mo_certificate_need(jobs, status.job.n_designs, status.record.n_rollouts,
+                                status.job.back_end);
   return error;
 }
 

@@ -199,7 +199,8 @@ static int complete(struct mo_jobs *jobs, struct completion *made, struct mo_mes
   if (error != MO_OK)
     return error;
   const enum mo_back_end back_end = (enum mo_back_end)request->job.back_end;
-  const struct mo_need need = mo_certificate_need(jobs, request->n_designs, back_end);
+  const struct mo_need need =
+      mo_certificate_need(jobs, request->n_designs, request->record.n_rollouts, back_end);
   const struct mo_orienting under = {.controller = request->controller,
                                      .environment_set = request->environment_set,
                                      .environments = request->environments,

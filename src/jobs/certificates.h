@@ -17,6 +17,6 @@ int mo_jobs_submit_certificate(struct mo_jobs *jobs, const struct mo_certificate
 /* Memory of a running certificate; for the memory check. */
 struct mo_need;
 struct mo_need mo_certificate_need(const struct mo_jobs *jobs, uint32_t n_designs,
-                                   enum mo_back_end back_end);
+                                   uint64_t n_rollouts, enum mo_back_end back_end);
 
 #endif

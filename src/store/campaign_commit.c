@@ -332,6 +332,8 @@ static int commit_generation(struct mo_store *store, void *arguments)
     error = insert_scores(store, call, now_us);
   if (error == MO_OK)
     error = mo_row_write(writer, MO_CAMPAIGN_GENERATIONS, call->id, &row);
+  for (uint32_t i = 0; i < commit->n_held_out && error == MO_OK; i++)
+    error = mo_campaign_held_out_row(writer, call->id, &commit->held_out[i]);
   if (error == MO_OK)
     error = insert_blobs(writer, call);
   for (uint32_t i = 0; i < commit->n_steps && error == MO_OK; i++)

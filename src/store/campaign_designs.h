@@ -4,6 +4,7 @@
 #define MORPHO_STORE_CAMPAIGN_DESIGNS_H
 
 #include "store/campaign_records.h"
+#include "store/certified.h"
 
 struct mo_campaign_design {
   uint32_t number;
@@ -16,6 +17,8 @@ struct mo_campaign_design {
   bool is_cut;  /* the score is a lower bound: scoring stopped early, because the design cannot
                    survive */
   struct mo_design_size size;
+  struct mo_certified certified; /* by the newest certificate under a controller of the campaign */
+  struct mo_re_evaluated held_out; /* newest; of a population: not after its generation */
   /* Of a study. */ char
       own_operator[MO_STUDY_WORD_MAX + 1]; /* "": descent.op is one of enum mo_operator */
   uint32_t n_measures;                     /* also of a campaign that names measures */
@@ -41,6 +44,10 @@ int mo_store_campaign_designs_of(struct mo_store *store, int64_t id, const uint3
 int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t generation,
                                      uint32_t offset, struct mo_campaign_design *rows, size_t limit,
                                      uint32_t *n);
+/* Reads the results of a re-evaluated generation, by number. Returns their number; 0: it was not
+ * re-evaluated. */
+int64_t mo_store_campaign_held_out(struct mo_store *store, int64_t id, uint32_t generation,
+                                   struct mo_re_evaluated rows[MO_ELITE_MAX]);
 /* Reads all descents so far (malloc), and the generation of each birth (malloc, nullable). *n:
  * designs. */
 int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_descent **descents,

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "store/campaign_rows.h"
+#include "store/certificate_rows.h"
 
 int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_t generation,
                             struct mo_campaign_members *members)
@@ -27,12 +28,20 @@ int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_
 
 /* ---- designs ---- */
 
-#define DESIGN_COLUMNS                                                                             \
+/* With the newest result of a re-evaluation up to generation `until`, and with the newest
+ * certificate under a controller of the campaign. */
+#define DESIGN_COLUMNS(until)                                                                      \
   "SELECT d.number,d.operator,d.parent,d.other_parent,d.born,d.died,d.score,d.size,g.bits,x.form," \
   "CASE WHEN d.operator>=5 THEN (SELECT word FROM study_words w WHERE w.job=d.job AND w.kind=0"    \
-  " AND w.place=d.operator-5) END,d.measures,d.is_cut FROM"                                        \
-  " campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype CROSS JOIN designs x ON "         \
-  "x.id=g.design"
+  " AND w.place=d.operator-5) END,d.measures,d.is_cut,h.generation,h.worlds,h.diverged,h.mean,"    \
+  "h.standard_error,v.job,v.verdict FROM campaign_designs d CROSS JOIN genotypes g ON "            \
+  "g.id=d.genotype CROSS JOIN designs x ON x.id=g.design LEFT JOIN campaign_held_out h ON "        \
+  "h.job=d.job AND h.number=d.number AND h.generation=(SELECT max(generation) FROM "               \
+  "campaign_held_out WHERE job=d.job AND number=d.number AND generation<=" until ")"               \
+  " LEFT JOIN certificate_verdicts v ON v.genotype=d.genotype AND v.job=(SELECT max(c.job) FROM "  \
+  "certificate_verdicts c WHERE c.genotype=d.genotype AND c.controller IN (SELECT controller FROM" \
+  " runs WHERE job=d.job UNION SELECT result FROM runs WHERE job=d.job))"
+#define ANY_GENERATION "4294967295"
 
 static uint32_t column_parent(sqlite3_stmt *row, int column)
 {
@@ -75,6 +84,13 @@ static int design_from_row(sqlite3_stmt *row, void *any)
   design->died = sqlite3_column_type(row, 5) == SQLITE_NULL ? -1 : sqlite3_column_int64(row, 5);
   design->size = unpacked_size(size);
   design->is_cut = sqlite3_column_int(row, 12) != 0;
+  design->held_out = (struct mo_re_evaluated){.number = design->number,
+                                              .generation = mo_column_u32(row, 13),
+                                              .worlds = mo_column_u32(row, 14),
+                                              .diverged = mo_column_u32(row, 15),
+                                              .mean = mo_column_number(row, 16),
+                                              .standard_error = mo_column_number(row, 17)};
+  design->certified = mo_column_certified(row, 18);
   mo_column_text(row, 10, design->own_operator, sizeof(design->own_operator));
   int error = design->descent.op < MO_OPERATORS || design->own_operator[0] != '\0'
                   ? mo_column_double(row, 6, &design->score)
@@ -88,17 +104,18 @@ int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t af
                                   struct mo_campaign_design *rows, size_t limit)
 {
   static const char sql[] =
-      DESIGN_COLUMNS " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
+      DESIGN_COLUMNS(ANY_GENERATION) " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
   return mo_read_page(store, sql, MO_VALUES(mo_int(id), mo_int(after), mo_int((int64_t)limit)),
                       design_from_row, rows, sizeof(*rows));
 }
 
-static int load_design(struct mo_connection *reader, int64_t id, uint32_t number,
+/* until: the last generation of which it may have a result. */
+static int load_design(struct mo_connection *reader, int64_t id, uint32_t number, int64_t until,
                        struct mo_campaign_design *design)
 {
-  static const char sql[] = DESIGN_COLUMNS " WHERE d.job=?1 AND d.number=?2";
+  static const char sql[] = DESIGN_COLUMNS("?3") " WHERE d.job=?1 AND d.number=?2";
   sqlite3_stmt *row;
-  const int error = mo_sql_row(reader, &row, sql, mo_int(id), mo_int(number));
+  const int error = mo_sql_row(reader, &row, sql, mo_int(id), mo_int(number), mo_int(until));
   return error == MO_OK ? design_from_row(row, design) : error;
 }
 
@@ -108,7 +125,7 @@ int mo_store_campaign_designs_of(struct mo_store *store, int64_t id, const uint3
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   for (size_t i = 0; i < n && error == MO_OK; i++)
-    error = load_design(reader, id, numbers[i], &rows[i]);
+    error = load_design(reader, id, numbers[i], INT64_MAX, &rows[i]);
   return error;
 }
 
@@ -125,14 +142,15 @@ int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t
     return MO_ERR_LIMIT;
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int error = mo_campaign_head_get(reader, id, &head);
+  if (generation < 0)
+    generation = head.generation;
   if (error == MO_OK)
-    error = mo_campaign_members_get(reader, id, generation < 0 ? head.generation : generation,
-                                    &members);
+    error = mo_campaign_members_get(reader, id, generation, &members);
   if (error != MO_OK)
     return error;
   *n = members.n;
   for (uint32_t i = offset; i < members.n && (size_t)filled < limit; i++) {
-    error = load_design(reader, id, members.population[i].number, &rows[filled]);
+    error = load_design(reader, id, members.population[i].number, generation, &rows[filled]);
     if (error != MO_OK)
       return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
     rows[filled++].score = members.population[i].score;

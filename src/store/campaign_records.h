@@ -6,6 +6,7 @@
 
 #include "store/checkpoints.h"
 #include "store/own_score.h"
+#include "store/re_evaluation.h"
 #include "store/select_by.h"
 
 #define MO_REPLICATES_MAX 100
@@ -52,6 +53,7 @@ struct mo_campaign_record {
   /* The score, if it is not the mean loss: the client of a study sends it, or it follows from
    * select_by. */
   struct mo_own_score own_score;
+  struct mo_re_evaluation re_evaluate;
 };
 /* Returns whether the client of a study sends the scores. */
 static inline bool mo_campaign_takes_scores(const struct mo_campaign_record *record)
@@ -78,8 +80,9 @@ struct mo_campaign_generation {
       rollouts_diverged;        /* for scores; cached: found in the store, included in `rollouts` */
   uint32_t learning_steps;      /* in this generation */
   double first_loss, last_loss; /* mean training loss of its first and last step; NaN: none */
-  bool collapse;                /* this generation raised the diversity warning */
-  double seconds;               /* wall time since the previous generation, without pauses */
+  struct mo_held_out_summary held_out; /* of the population */
+  bool collapse;                       /* this generation raised the diversity warning */
+  double seconds;                      /* wall time since the previous generation, without pauses */
   int64_t stored_us;
 };
 

@@ -56,6 +56,10 @@ int mo_campaign_design_row(struct mo_connection *writer, int64_t id, int64_t gen
                            const struct mo_campaign_design *design, const double *measures,
                            uint32_t n);
 
+/* Inserts the result of a re-evaluated design. */
+int mo_campaign_held_out_row(struct mo_connection *writer, int64_t id,
+                             const struct mo_re_evaluated *result);
+
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id);
 
 /* Writes the row of a checkpoint and deletes the rows that it replaces. is_committed: it is the

@@ -106,7 +106,9 @@ struct mo_campaign_commit {
   const uint32_t *survivors; /* (n_survivors) places in parents, then children; in the order of the
                                 new population */
   uint32_t n_survivors;
-  bool race_pays; /* race in the next generation */
+  bool race_pays;                         /* race in the next generation */
+  const struct mo_re_evaluated *held_out; /* (n_held_out) if the generation was re-evaluated */
+  uint32_t n_held_out;
   /* (n_losses) zero-shot: losses of the children, stored in `scores` like the losses of
    * evaluations; else NULL. */
   const struct mo_campaign_loss *losses;

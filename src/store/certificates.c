@@ -361,8 +361,29 @@ int mo_store_certificate_save(struct mo_store *store, int64_t id,
   return mo_write(store, save, &(struct save){id, losses, n, progress});
 }
 
-int mo_store_certificate_finish(struct mo_store *store, int64_t id)
+struct verdicts {
+  const uint8_t *of; /* (n) */
+  uint32_t n;
+};
+
+/* A design that is listed twice has equal losses and one row. */
+static int insert_verdicts(struct mo_connection *writer, int64_t id, const void *context)
+{
+  static const char sql[] =
+      "INSERT OR REPLACE INTO certificate_verdicts(genotype,job,controller,verdict)"
+      " SELECT d.genotype,k.job,k.controller,?3 FROM certificates k JOIN job_designs d"
+      " ON d.job=k.job AND d.position=?2 WHERE k.job=?1";
+  const struct verdicts *verdicts = context;
+  int error = MO_OK;
+  for (uint32_t i = 0; i < verdicts->n && error == MO_OK; i++)
+    error = mo_sql_do(writer, sql, mo_int(id), mo_int(i), mo_int(verdicts->of[i]));
+  return error;
+}
+
+int mo_store_certificate_finish(struct mo_store *store, int64_t id, const uint8_t *verdicts,
+                                uint32_t n_designs)
 {
   const struct mo_run_result none = {.controller = NULL};
-  return mo_run_finish(store, id, &none, "", NULL, NULL);
+  const struct verdicts all = {verdicts, n_designs};
+  return mo_run_finish(store, id, &none, "", insert_verdicts, &all);
 }

@@ -105,7 +105,8 @@ int mo_store_certificate_start(struct mo_store *store, int64_t id,
 int mo_store_certificate_save(struct mo_store *store, int64_t id,
                               const struct mo_certificate_losses *losses, size_t n,
                               const struct mo_certificate_record *progress);
-/* running → succeeded. */
-int mo_store_certificate_finish(struct mo_store *store, int64_t id);
+/* running → succeeded. verdicts: (n_designs) enum mo_verdict_class, in the order of the designs. */
+int mo_store_certificate_finish(struct mo_store *store, int64_t id, const uint8_t *verdicts,
+                                uint32_t n_designs);
 
 #endif

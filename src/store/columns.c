@@ -95,8 +95,23 @@ static const struct mo_column generation_columns[] = {
     {"exhausted", FLAG, AT(variation.exhausted)},
     {"collapse", FLAG, AT(collapse)},
     {"seconds", NUMBER, AT(seconds)},
+    /* Of re-evaluations. They follow from other rows: N_HELD_OUT columns, not in bundles. */
+    {"held_out.designs", COUNT, AT(held_out.designs), "held_out_designs"},
+    {"held_out.worlds", COUNT, AT(held_out.worlds), "held_out_worlds"},
+    {"held_out.rollouts", LONG, AT(held_out.rollouts), "held_out_rollouts"},
+    {"held_out.diverged", LONG, AT(held_out.diverged), "held_out_diverged"},
+    {"held_out.mean", NUMBER, AT(held_out.champion.mean), "held_out_mean"},
+    {"held_out.standard_error", NUMBER, AT(held_out.champion.standard_error),
+     "held_out_standard_error"},
+    {"held_out.low", NUMBER, AT(held_out.champion_interval.lo), "held_out_low"},
+    {"held_out.high", NUMBER, AT(held_out.champion_interval.hi), "held_out_high"},
+    {"held_out.top_mean", NUMBER, AT(held_out.top_mean), "held_out_top_mean"},
+    {"held_out.top_score", NUMBER, AT(held_out.top_score), "held_out_top_score"},
     {"stored_us", MO_COLUMN_TIME, AT(stored_us)},
 };
 #undef AT
+#define N_HELD_OUT 10
 const struct mo_columns mo_generation_columns = MO_COLUMNS(generation_columns, 1);
+const struct mo_columns mo_bundle_generation_columns =
+    MO_COLUMNS(generation_columns, 1 + N_HELD_OUT);
 _Static_assert(MO_QUANTILES == 7, "one column for each quantile");

@@ -46,9 +46,11 @@ static inline const char *mo_column_name(const struct mo_column *column)
   return column->csv != NULL ? column->csv : column->path;
 }
 
-extern const struct mo_columns mo_step_columns;          /* struct mo_training_step_row */
-extern const struct mo_columns mo_validation_columns;    /* struct mo_training_validation_row */
-extern const struct mo_columns mo_generation_columns;    /* struct mo_campaign_generation */
-extern const struct mo_columns mo_campaign_step_columns; /* struct mo_campaign_step */
+extern const struct mo_columns mo_step_columns;              /* struct mo_training_step_row */
+extern const struct mo_columns mo_validation_columns;        /* struct mo_training_validation_row */
+extern const struct mo_columns mo_generation_columns;        /* struct mo_campaign_generation */
+extern const struct mo_columns mo_bundle_generation_columns; /* the same, without the columns that
+                                                              * bundles lack */
+extern const struct mo_columns mo_campaign_step_columns;     /* struct mo_campaign_step */
 
 #endif

@@ -66,6 +66,7 @@ static int mark(struct mo_store *store, void *arguments)
 {
   static const char sql[] = "UPDATE jobs SET state=6," MO_NEXT_VERSION " WHERE id=?1";
   static const char import_sql[] = "DELETE FROM imports WHERE job=?1";
+  static const char verdicts_sql[] = "DELETE FROM certificate_verdicts WHERE job=?1";
   static const char checkpoints_sql[] =
       "SELECT count(*),coalesce(sum(size),0) FROM checkpoints WHERE job=?1";
   struct mark *call = arguments;
@@ -95,6 +96,8 @@ static int mark(struct mo_store *store, void *arguments)
     error = mo_sql_do(writer, sql, mo_int(call->id));
   if (error == MO_OK) /* its bundle may be imported again at once */
     error = mo_sql_do(writer, import_sql, mo_int(call->id));
+  if (error == MO_OK) /* lists no longer name it */
+    error = mo_sql_do(writer, verdicts_sql, mo_int(call->id));
   if (error != MO_OK)
     return error;
   return mo_writer_event(store, call->id, "job.deleted",
@@ -119,6 +122,7 @@ static const char *const parts[] = {PART("recomputed", "position", "16"),
                                     PART("campaign_losses", "place", "1000"),
                                     PART("certificate_losses", "trial", "1"),
                                     PART("campaign_steps", "generation", "16"),
+                                    PART("campaign_held_out", "generation", "10"),
                                     PART("campaign_generations", "generation", "1000"),
                                     PART("campaign_populations", "generation", "64"),
                                     PART("campaign_designs", "number", "1000"),

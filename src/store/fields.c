@@ -68,6 +68,9 @@ static const struct mo_field campaign_rows[] = {
     {"select_by", MO_FIELD_OWN, 0, AT(select_by), .group = &mo_select_by_fields,
      .own = &mo_select_by_field, .unit = "", .help = "the measure to select by; null: the loss"},
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_aggregate_fields},
+    {"re_evaluate", MO_FIELD_OWN, 0, AT(re_evaluate), .group = &mo_re_evaluation_fields,
+     .own = &mo_re_evaluation_field, .unit = "",
+     .help = "scores of the best designs in fresh worlds, which select nothing; null: none"},
 };
 const struct mo_fields mo_campaign_record_fields = MO_FIELDS(campaign_rows);
 const char *const mo_worlds_words[] = {"random", "environments", "tasks", NULL};
@@ -93,7 +96,7 @@ static const struct mo_field stored_campaign_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_fields},
     {"learning", MO_FIELD_GROUP, 0, 0, .group = &stored_learning, .unit = "", .help = ""},
 };
-enum { STORED, OWN_SCORE, MEASURES, SELECT_BY, WORLDS, AGGREGATE, N_STORED_ROWS };
+enum { STORED, OWN_SCORE, MEASURES, SELECT_BY, WORLDS, AGGREGATE, RE_EVALUATE, N_STORED_ROWS };
 static const struct mo_field all_stored_rows[N_STORED_ROWS] = {
     [STORED] = {NULL, MO_FIELD_INLINE, 0, 0,
                 .group = &(const struct mo_fields)MO_FIELDS(stored_campaign_rows)},
@@ -106,6 +109,9 @@ static const struct mo_field all_stored_rows[N_STORED_ROWS] = {
     [WORLDS] = {"learning_worlds", MO_FIELD_WORD, 0, AT(worlds), .words = mo_worlds_words,
                 .unit = "", .help = ""},
     [AGGREGATE] = {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_aggregate_fields},
+    [RE_EVALUATE] = {"re_evaluate", MO_FIELD_OWN, 0, AT(re_evaluate),
+                     .group = &mo_re_evaluation_fields, .own = &mo_re_evaluation_field, .unit = "",
+                     .help = ""},
 };
 static const struct mo_fields all_stored = MO_FIELDS(all_stored_rows);
 #undef AT
@@ -126,6 +132,7 @@ static void write_campaign(const struct mo_campaign_record *record, struct mo_te
       [SELECT_BY] = measured,
       [WORLDS] = record->worlds != MO_WORLDS_RANDOM,
       [AGGREGATE] = record->settings.aggregate.kind != MO_AGGREGATE_MEAN,
+      [RE_EVALUATE] = record->re_evaluate.every > 0,
   };
   struct mo_field rows[N_STORED_ROWS];
   size_t n = 0;
@@ -152,9 +159,9 @@ static int read_stored(const char *json, const struct mo_fields *fields, void *r
   return error == MO_ERR_FORMAT ? MO_ERR_CORRUPT : error;
 }
 
-/* Only a campaign that learns has worlds to learn in. Only a study has an own score, unless it
- * follows from the measure to select by, which is among the measures. An own score has no
- * aggregate, and without lower bounds, racing is off. */
+/* Only a campaign that learns has worlds to learn in. A study re-evaluates nothing. Only a study
+ * has an own score, unless it follows from the measure to select by, which is among the measures.
+ * An own score has no aggregate, and without lower bounds, racing is off. */
 static bool is_consistent(const struct mo_campaign_record *record)
 {
   const struct mo_aggregate *aggregate = &record->settings.aggregate;
@@ -162,6 +169,8 @@ static bool is_consistent(const struct mo_campaign_record *record)
   if (aggregate->kind != MO_AGGREGATE_MEAN && mo_own_score_is_set(&record->own_score))
     return false;
   if (!mo_aggregate_is_monotone(aggregate) && record->settings.racing != MO_RACING_OFF)
+    return false;
+  if (record->re_evaluate.every > 0 && !mo_modes[record->settings.mode].makes_children)
     return false;
   if (record->worlds != MO_WORLDS_RANDOM && !mo_modes[record->settings.mode].learns)
     return false;
@@ -195,6 +204,7 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
   campaign->measures = 0;
   campaign->select_by = (struct mo_select_by){.is_set = false};
   campaign->worlds = MO_WORLDS_RANDOM;
+  campaign->re_evaluate = (struct mo_re_evaluation){.every = 0};
   const int error = read_stored(json, &all_stored, campaign);
   return error == MO_OK && !is_consistent(campaign) ? MO_ERR_CORRUPT : error;
 }

@@ -6,6 +6,7 @@
 
 #include "base/clock.h"
 #include "base/thread.h"
+#include "store/campaign_rows.h"
 #include "store/controller_rows.h"
 #include "store/import_state.h"
 #include "store/recordings.h"
@@ -16,7 +17,7 @@
 
 /* ---- rows that wait ---- */
 
-enum kind { DESIGN, GENERATION, STEP, SCORE, ROLLOUT };
+enum kind { DESIGN, GENERATION, HELD_OUT, STEP, SCORE, ROLLOUT };
 
 /* Followed by what the row refers to. */
 struct row {
@@ -28,6 +29,7 @@ struct row {
       struct mo_campaign_generation row;
       uint32_t n_members;
     } generation; /* members, births */
+    struct mo_re_evaluated held_out;
     struct mo_campaign_step step;
     struct mo_campaign_score score;     /* its measures, if it has any */
     struct mo_saved_trajectory rollout; /* the arrays of its channels */
@@ -90,6 +92,15 @@ int mo_import_generation(struct mo_import *import, const struct mo_campaign_gene
   if (births_bytes > 0)
     memcpy(more + members_bytes, births, births_bytes);
   return MO_OK;
+}
+
+int mo_import_held_out(struct mo_import *import, const struct mo_re_evaluated *result)
+{
+  struct row *row = NULL;
+  const int error = append(import, HELD_OUT, 0, &row);
+  if (error == MO_OK)
+    row->held_out = *result;
+  return error;
 }
 
 int mo_import_step(struct mo_import *import, const struct mo_campaign_step *step)
@@ -187,6 +198,8 @@ static int enter_row(struct mo_import *import, struct row *row)
     return mo_enter_generation(import, &row->generation.row,
                                (const void *)&members[row->generation.n_members], members,
                                row->generation.n_members);
+  case HELD_OUT:
+    return mo_campaign_held_out_row(&import->store->writer, import->id, &row->held_out);
   case STEP: return mo_enter_step(import, &row->step);
   case SCORE: return enter_score(import, row);
   default: return enter_rollout(import, row);

@@ -136,6 +136,7 @@ int mo_import_design(struct mo_import *import, const struct mo_campaign_design *
 int mo_import_generation(struct mo_import *import, const struct mo_campaign_generation *row,
                          const struct mo_descent *births, const struct mo_campaign_member *members,
                          uint32_t n_members);
+int mo_import_held_out(struct mo_import *import, const struct mo_re_evaluated *result);
 int mo_import_step(struct mo_import *import, const struct mo_campaign_step *step);
 int mo_import_score(struct mo_import *import, const struct mo_campaign_score *score);
 int mo_import_rollout(struct mo_import *import, const struct mo_saved_trajectory *rollout);

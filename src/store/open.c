@@ -138,8 +138,8 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
   }
   /* In the same transaction, so that the database can be opened after a kill between this commit
    * and the commit of the first opening. */
-  if (error == MO_OK && from == 0)
-    error = mo_rows_create(writer);
+  if (error == MO_OK)
+    error = from == 0 ? mo_rows_create(writer) : mo_rows_extend(writer);
   if (error == MO_OK && from == 0)
     error = mo_sql_exec(writer, "INSERT INTO meta(key,value) VALUES('epoch',0),('clean',1)");
   if (error == MO_OK) {

@@ -7,8 +7,8 @@
 #include "store/internal.h"
 #include "store/trainings.h"
 
-#define COLUMNS_MAX 64
-#define SQL_MAX     2560
+#define COLUMNS_MAX 80
+#define SQL_MAX     3072
 
 enum { CREATE, WRITE, NEWEST, AFTER, STRIDE, STATEMENTS };
 
@@ -104,6 +104,31 @@ int mo_rows_create(struct mo_connection *writer)
   int error = MO_OK;
   for (enum mo_row_table which = 0; which < MO_ROW_TABLES && error == MO_OK; which++)
     error = mo_sql_exec(writer, statement_of(which, CREATE));
+  return error;
+}
+
+/* Adds a column, with 0 or no number in the rows that exist, unless the table has it. */
+static int extend(struct mo_connection *writer, const struct table *table,
+                  const struct mo_column *column)
+{
+  static const char has_sql[] = "SELECT count(*) FROM pragma_table_info(?1) WHERE name=?2";
+  const char *name = mo_column_name(column);
+  char sql[160];
+  int64_t has = 0;
+  const int error = mo_sql_find(writer, &has, has_sql, mo_string(table->name), mo_string(name));
+  if (error != MO_OK || has > 0)
+    return error;
+  snprintf(sql, sizeof(sql), "ALTER TABLE %s ADD COLUMN \"%s\" %s", table->name, name,
+           column->type == MO_COLUMN_NUMBER ? "REAL" : "INTEGER NOT NULL DEFAULT 0");
+  return mo_sql_exec(writer, sql);
+}
+
+int mo_rows_extend(struct mo_connection *writer)
+{
+  int error = MO_OK;
+  for (const struct table *table = tables; table < tables + MO_ROW_TABLES; table++)
+    for (size_t i = 0; i < table->columns->n + table->columns->n_stored && error == MO_OK; i++)
+      error = extend(writer, table, &table->columns->items[i]);
   return error;
 }
 

@@ -16,6 +16,9 @@ enum mo_row_table {
 /* Creates the tables with the columns of store/columns.h. */
 int mo_rows_create(struct mo_connection *writer);
 
+/* Adds the columns that tables of an earlier version lack. */
+int mo_rows_extend(struct mo_connection *writer);
+
 /* Writes a row of a job. A rewritten row replaces the old one. */
 int mo_row_write(struct mo_connection *writer, enum mo_row_table which, int64_t id,
                  const void *row);

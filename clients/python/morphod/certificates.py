@@ -71,7 +71,8 @@ class CertifiedDesign:
     `id` stands for the design in all orientations, `robot` for the one that was scored (ID@K).
     `score`, `interval` and `rank` are those of the base, as are `flags` (those of any rollout),
     `peak_strain` and `inverted_voxels` (the largest of the rollouts; NaN: unknown). `levels` has
-    its scores, in the order of the report's levels.
+    its scores, in the order of the report's levels. `verdict_class` is the verdict in brief
+    (no_score, in_doubt, depends or holds), and `worse` has the axes at whose levels it is worse.
     """
 
     @reading()
@@ -79,6 +80,8 @@ class CertifiedDesign:
         self.data = data
         self.id, self.robot = str(data["id"]), str(data["design"])
         self.verdict = printable(data["verdict"])
+        self.verdict_class = str(data["class"])
+        self.worse = tuple(str(axis) for axis in data["worse"])
         self.rank, self.score = int(data["rank"]), _number(data["score"])
         self.interval = _interval(data["interval"])
         self.flags = tuple(str(flag) for flag in data["flags"])

@@ -44,6 +44,26 @@ def frame(rows: Iterable[Mapping[str, Any]], **constant: Any) -> pd.DataFrame:
     return made
 
 
+# The members of these objects of a design of a campaign, null if it has none, and their columns.
+_OF_DESIGNS = {
+    "held_out": {name: f"held_out_{name}" for name in (
+        "generation", "worlds", "mean", "standard_error", "low", "high", "diverged")},
+    "certificate": {"id": "certificate", "class": "certificate_class"},
+}
+
+
+def frame_of_designs(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """Returns a table of designs of a campaign: always with the columns of results in fresh worlds
+    (`held_out_mean`, `held_out_low`, …) and of certificates (`certificate`, `certificate_class`)."""
+    def line(row: Mapping[str, Any]) -> dict[str, Any]:
+        made = {name: value for name, value in row.items() if name not in _OF_DESIGNS}
+        for name, columns in _OF_DESIGNS.items():
+            of_row = row[name] or {}
+            made.update((column, of_row.get(member)) for member, column in columns.items())
+        return made
+    return frame(map(line, rows))
+
+
 @reading()
 def frame_of_columns(data: bytes) -> pd.DataFrame:
     """Returns the table of a reply in the format `columns`."""

@@ -163,7 +163,9 @@ class AsyncClient(Scoring, Learning, Atlases, Certifying):
         a column for the mean of each measure; with `select_by`, such as `{"measure":
         "displacement_m", "direction": "max"}`, the campaign selects by one. With `aggregate`, such
         as `{"kind": "cvar", "level": 0.9}`, the score of a design is not the mean of its losses
-        over the environments, but here that of the worst tenth.
+        over the environments, but here that of the worst tenth. With `re_evaluate`, such as
+        `{"every": 10, "environments": 64}`, the best designs are also scored in fresh worlds, which
+        select nothing: `champions()` has these scores without luck.
         """
         value: dict[str, Any] = {"mode": mode, "replicates": replicates,
                                  **_given(preset=preset, label=label), **settings}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import anyio
 
 from ..errors import MorphodError, reading
-from ..frames import frame, frame_of_columns, pandas
+from ..frames import frame, frame_of_columns, frame_of_designs, pandas
 from ..phylogenies import Phylogeny
 from ..player import Player
 from ..progress import Bar, doing
@@ -122,18 +122,26 @@ class AsyncCampaign(AsyncJob):
         return frame(rows, **self._constant())
 
     async def population(self, generation: int | None = None) -> pd.DataFrame:
-        """Returns a table of the population after a generation (default: the newest), best
-        first."""
+        """Returns a table of the population after a generation (default: the newest), best first,
+        with columns as in `champions`."""
         path = f"/v1/campaigns/{self.id}/population"
         # A cursor includes its generation.
-        return frame([row async for row in self._connection.pages(path, generation=generation)])
+        rows = [row async for row in self._connection.pages(path, generation=generation)]
+        with reading():
+            return frame_of_designs(rows)
 
     async def champions(self, count: int = 12) -> pd.DataFrame:
-        """Returns a table of the best design and a sample of the others, most distinct first."""
+        """Returns a table of the best design and a sample of the others, most distinct first.
+
+        Their `score` selected them, so it is lucky. With `re_evaluate`, `held_out_mean` is that of
+        fresh worlds, with its 95 % interval `held_out_low` to `held_out_high`,
+        `held_out_standard_error`, `held_out_worlds`, `held_out_generation` and
+        `held_out_diverged`; NaN: no result. `certificate` is the id of the newest certificate under
+        a controller of the campaign, and `certificate_class` what it says."""
         found = await self._connection.json(
             Request.get(f"/v1/campaigns/{self.id}/champions", count=count))
         with reading():
-            return frame(found["items"])
+            return frame_of_designs(found["items"])
 
     async def evaluate_champions(self, environments: str = "morpho-12", count: int = 12, *,
                                  controller: str | None = None, label: str | None = None,
