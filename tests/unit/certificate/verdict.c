@@ -263,7 +263,52 @@ static void order(void)
   CHECK_HAS(text, " 3 of 20 designs diverge at the base and have no score.");
 }
 
+/* In brief: the rules of the sentences. */
+static void briefs(void)
+{
+  begin();
+#define BRIEF(design) mo_certificate_brief(trials, n_trials, scores[0], DESIGNS, design)
+  CHECK_INT(BRIEF(4).class, MO_CLASS_HOLDS);
+  CHECK(BRIEF(4).finest == 0 && !BRIEF(4).is_kept && BRIEF(4).worse == 0);
+  add(MO_AXIS_PRECISION, 64);
+  CHECK_INT(BRIEF(4).finest, 1);
+  const uint32_t step = add(MO_AXIS_STEP, 4), fresh = add(MO_AXIS_HELD_OUT, NAN);
+  const uint32_t chance = add(MO_AXIS_CHANCE, NAN);
+  add(MO_AXIS_MASS, 0.7);
+  const uint32_t heavy = add(MO_AXIS_MASS, 1.3), all = add(MO_AXIS_WORLDS, NAN);
+  scores[step][4].rank = 7;
+  CHECK(BRIEF(4).class == MO_CLASS_HOLDS && BRIEF(4).finest == step && BRIEF(4).is_kept);
+  diverge(chance, 4, 1);
+  set_score(1, 4, 5);
+  CHECK_INT(BRIEF(4).class, MO_CLASS_HOLDS); /* neither luck nor precision is a condition */
+  set_score(fresh, 4, 0.099);
+  CHECK_INT(BRIEF(4).worse, 0);
+  set_score(fresh, 4, 0.1001);
+  CHECK_INT(BRIEF(4).class, MO_CLASS_DEPENDS);
+  CHECK_INT(BRIEF(4).worse, 1 << MO_AXIS_HELD_OUT);
+  scores[fresh][4].of_change.lo = 0;
+  CHECK_INT(BRIEF(4).worse, 0);
+  set_score(heavy, 4, 0.5);
+  diverge(all, 4, 2);
+  CHECK_INT(BRIEF(4).worse, 1 << MO_AXIS_MASS | 1 << MO_AXIS_WORLDS);
+  scores[step][4].rank = 8;
+  CHECK(BRIEF(4).class == MO_CLASS_IN_DOUBT && !BRIEF(4).is_kept);
+  diverge(step, 3, 1);
+  CHECK_INT(BRIEF(3).class, MO_CLASS_IN_DOUBT);
+  diverge(0, 4, 2);
+  CHECK_INT(BRIEF(4).class, MO_CLASS_NO_SCORE);
+  CHECK_INT(BRIEF(2).class, MO_CLASS_HOLDS);
+  begin(); /* a design alone: its score counts */
+  struct mo_trial_score lone[2] = {scores[0][0], scores[0][0]};
+  add(MO_AXIS_STEP, 4);
+  CHECK_INT(mo_certificate_brief(trials, 2, lone, 1, 0).class, MO_CLASS_HOLDS);
+  lone[1].change = 0.05;
+  CHECK_INT(mo_certificate_brief(trials, 2, lone, 1, 0).class, MO_CLASS_IN_DOUBT);
+#undef BRIEF
+}
+
 static const struct check_case cases[] = {
+    {"in brief", briefs},
     {"numerics", numerics},
     {"flags", flags},
     {"luck", luck},

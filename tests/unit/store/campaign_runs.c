@@ -6,6 +6,7 @@
 #include "campaign_fixture.h"
 #include "one_store.h"
 #include "store/check.h"
+#include "store/deletion.h"
 #include "store/scores.h"
 
 #define UNTIL 5 /* generations after the first */
@@ -331,6 +332,73 @@ static void names_who_computed(void)
   made_apply(&made);
 }
 
+/* The results of re-evaluated generations: each design has the newest, a population none that is
+ * newer. */
+static void keeps_re_evaluations(void)
+{
+  struct made made = begin(MO_ZERO_SHOT);
+  struct mo_campaign_design rows[2];
+  struct mo_re_evaluated found[MO_ELITE_MAX];
+  struct mo_campaign_generation row;
+  uint32_t n = 0;
+  REQUIRE_OK(made_generation(&made));
+  for (uint32_t generation = 1; generation <= 2; generation++) {
+    made_next(&made);
+    const uint32_t place = made.commit.survivors[0], n_parents = made.commit.n_parents;
+    const uint32_t best = place < n_parents
+                              ? made.numbers[place]
+                              : (uint32_t)made.commit.row.born_before + place - n_parents;
+    const struct mo_re_evaluated results[2] = {
+        {best, generation, 64, 0, 0.1 / 3 + generation, 0.01 / 7},
+        {best + 1000, generation, 64, 2, NAN, NAN}};
+    made.commit.held_out = results;
+    made.commit.n_held_out = 2;
+    made.commit.row.held_out =
+        (struct mo_held_out_summary){2, 64, 128, 2, results[0], {0.5, 1.5}, 0.25, (double)NAN};
+    REQUIRE_OK(made_commit(&made));
+    CHECK_INT(mo_store_campaign_held_out(store, made.id, generation, found), 2);
+    CHECK(found[0].mean == results[0].mean && found[0].number == best && found[0].worlds == 64);
+    CHECK(found[0].standard_error == results[0].standard_error && found[0].diverged == 0);
+    CHECK(isnan(found[1].mean) && isnan(found[1].standard_error) && found[1].diverged == 2);
+    CHECK_INT(mo_store_campaign_population(store, made.id, -1, 0, rows, 1, &n), 1);
+    CHECK(rows[0].number == best && rows[0].held_out.generation == generation);
+    CHECK(rows[0].held_out.mean == results[0].mean);
+    CHECK_INT(mo_store_campaign_generations(store, made.id, generation - 1, 1, &row, 1), 1);
+    CHECK(row.held_out.designs == 2 && row.held_out.champion.mean == results[0].mean);
+    CHECK(row.held_out.champion_interval.hi == 1.5 && isnan(row.held_out.top_score));
+    CHECK_INT(mo_store_campaign_population(store, made.id, 0, 0, rows, 2, &n), 2);
+    CHECK(rows[0].held_out.worlds == 0 && rows[1].held_out.worlds == 0);
+  }
+  CHECK_INT(mo_store_campaign_held_out(store, made.id, 0, found), 0);
+  REQUIRE_OK(mo_store_change_job(store, made.id, MO_CHANGE_CANCEL, NULL));
+  CHECK_INT(park(made.id, MO_OK), MO_JOB_CANCELLED);
+  struct mo_deleted deleted;
+  struct mo_message message;
+  CHECK_OK(mo_store_delete_job(store, made.id, &deleted, &message));
+  close_store();
+  CHECK_INT(outside_integer("SELECT count(*) FROM campaign_held_out"), 0);
+  REQUIRE_OK(reopen());
+}
+
+/* Means over the best that have both; the champion is the first. */
+static void sums_up_re_evaluations(void)
+{
+  const struct mo_re_evaluation settings = {.every = 1, .environments = 4, .designs = 3};
+  const struct mo_re_evaluated rows[4] = {
+      {9, 1, 4, 0, 0.5, 0.1}, {5, 1, 4, 2, NAN, NAN}, {7, 1, 4, 0, 0.25, 0.5}, {8, 1, 4, 0, 8, 1}};
+  const uint32_t numbers[4] = {7, 5, 9, 8};
+  const double scores[4] = {0.125, 0.25, 0.5, 1};
+  struct mo_held_out_summary sum = mo_held_out_summary(&settings, rows, 4, numbers, scores, 4);
+  CHECK(sum.designs == 4 && sum.worlds == 4 && sum.rollouts == 16 && sum.diverged == 2);
+  CHECK(sum.champion.mean == 0.25 && sum.champion.standard_error == 0.5);
+  CHECK_NEAR(sum.champion_interval.hi - 0.25, 3.182446 * 0.5, 1e-5);
+  CHECK(sum.top_mean == 0.375 && sum.top_score == 0.3125);
+  sum = mo_held_out_summary(&settings, rows + 1, 1, numbers, scores, 4);
+  CHECK(isnan(sum.champion.mean) && isnan(sum.champion_interval.lo) && isnan(sum.top_mean));
+  sum = mo_held_out_summary(&settings, NULL, 0, numbers, scores, 4);
+  CHECK(sum.designs == 0 && sum.worlds == 0 && isnan(sum.champion.mean));
+}
+
 /* A zero-shot campaign shares scores with evaluations: both find them, and the first to save
  * inserts them. */
 static void shares_scores(void)
@@ -546,6 +614,8 @@ static const struct check_case cases[] = {
     {"refuses damaged measures", refuses_damaged_measures},
     {"records who computed a score", names_who_computed},
     {"shares scores", shares_scores},
+    {"keeps results of re-evaluations", keeps_re_evaluations},
+    {"sums up re-evaluations", sums_up_re_evaluations},
     {"keeps checkpoints", keeps_checkpoints},
     {"removes checkpoints", removes_checkpoints},
 };

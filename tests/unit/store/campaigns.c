@@ -154,6 +154,31 @@ static void names_the_aggregate(void)
   mo_text_free(&text);
 }
 
+/* Only a campaign that re-evaluates has the setting; a study never does. */
+static void names_the_re_evaluation(void)
+{
+  struct mo_campaign_record record = {.settings = mo_campaign_preset(MO_FEW_SHOT, MO_PRESET_DEMO),
+                                      .re_evaluate = {.environments = 5}};
+  struct mo_campaign_record back = {.re_evaluate = {9, 9, 9}};
+  struct mo_text text;
+  write_settings(&record, &text);
+  CHECK(strstr(text.data, "re_evaluate") == NULL);
+  CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back));
+  CHECK_INT(back.re_evaluate.every, 0);
+  mo_text_free(&text);
+  record.re_evaluate = (struct mo_re_evaluation){3, 70, 4};
+  write_settings(&record, &text);
+  CHECK(strstr(text.data, ",\"re_evaluate\":{\"every\":3,\"environments\":70,\"designs\":4}}") !=
+        NULL);
+  CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back));
+  CHECK(memcmp(&back.re_evaluate, &record.re_evaluate, sizeof(back.re_evaluate)) == 0);
+  mo_text_free(&text);
+  record.settings = mo_campaign_preset(MO_STUDY, MO_PRESET_DEMO);
+  write_settings(&record, &text);
+  CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back), MO_ERR_CORRUPT);
+  mo_text_free(&text);
+}
+
 /* An older program stored no settings that it did not have. They were the paper's. */
 static void keeps_the_physics_of_older_jobs(void)
 {
@@ -535,6 +560,7 @@ static const struct check_case cases[] = {
     {"names the score of a study", names_the_score_of_a_study},
     {"names the worlds of learning", names_the_worlds_of_learning},
     {"names the aggregate", names_the_aggregate},
+    {"names the re-evaluation only where there is one", names_the_re_evaluation},
     {"keeps the physics of older jobs", keeps_the_physics_of_older_jobs},
     {"refuses invalid requests", refuses_what_cannot_be},
     {"starts replicates", starts_replicates},

@@ -125,6 +125,23 @@ static void keeps_settings(void)
   CHECK_INT(mo_store_certificate(store, id, &status), MO_ERR_CORRUPT);
 }
 
+/* Returns the newest certificate of a design of job `id` under a controller (nullable). */
+static struct mo_certified certified(int64_t id, const struct mo_sha256 *controller,
+                                     uint32_t design)
+{
+  struct mo_certified found = {.id = -1};
+  struct mo_bits *designs = NULL;
+  uint32_t n = 0;
+  CHECK_OK(mo_store_job_designs(store, id, &designs, &n));
+  CHECK(design < n);
+  if (design < n) {
+    const struct mo_genotype genotype = mo_genotype_of(MO_STORE_WORKSPACE, &designs[design]);
+    CHECK_OK(mo_store_certified(store, controller, &genotype, &found));
+  }
+  free(designs);
+  return found;
+}
+
 static void keeps_losses(void)
 {
   static float losses[DESIGNS * WORLDS];
@@ -147,8 +164,14 @@ static void keeps_losses(void)
   CHECK_INT(status.record.trials_done, 1);
   CHECK_INT(status.record.rollouts_done, DESIGNS * WORLDS);
   CHECK(strstr(last_event(id).data, "\"trials_done\":1,\"trials\":2") != NULL);
-  CHECK_OK(mo_store_certificate_finish(store, id));
+  const uint8_t verdicts[DESIGNS] = {MO_CLASS_HOLDS, MO_CLASS_DEPENDS};
+  CHECK_INT(certified(id, NULL, 0).id, 0);
+  CHECK_OK(mo_store_certificate_finish(store, id, verdicts, DESIGNS));
   CHECK_INT(state_of(id), MO_JOB_SUCCEEDED);
+  CHECK_INT(certified(id, NULL, 0).id, id);
+  CHECK_INT(certified(id, NULL, 0).verdict, MO_CLASS_HOLDS);
+  CHECK_INT(certified(id, &status.job.controller_sha256, 1).verdict, MO_CLASS_DEPENDS);
+  CHECK_INT(certified(id, &(struct mo_sha256){{7}}, 1).id, 0);
   CHECK_INT(save_part(id, 1, 0, PART, false), MO_ERR_CONFLICT);
 }
 

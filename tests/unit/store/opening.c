@@ -8,7 +8,12 @@
 
 #define NEWEST 25 /* schema */
 /* Takes back what versions 18 to 25 added. */
-#define WITHOUT_25 "ALTER TABLE atlases DROP COLUMN measures;"
+#define DROP_COLUMN(name) "ALTER TABLE campaign_generations DROP COLUMN held_out_" name ";"
+#define WITHOUT_25                                                                                 \
+  "ALTER TABLE atlases DROP COLUMN measures; DROP TABLE certificate_verdicts; DROP TABLE "         \
+  "campaign_held_out;" DROP_COLUMN("designs") DROP_COLUMN("worlds") DROP_COLUMN("rollouts")        \
+      DROP_COLUMN("diverged") DROP_COLUMN("mean") DROP_COLUMN("standard_error") DROP_COLUMN("low") \
+          DROP_COLUMN("high") DROP_COLUMN("top_mean") DROP_COLUMN("top_score")
 #define WITHOUT_24 WITHOUT_25 "DROP TABLE certificate_losses; DROP TABLE certificates;"
 #define WITHOUT_23 WITHOUT_24 "DROP TABLE atlases;"
 #define WITHOUT_22 "ALTER TABLE measures DROP COLUMN origin;" WITHOUT_23
@@ -102,7 +107,7 @@ static void opens_version_15(void)
 {
   struct mo_evaluation_request submission = draw_evaluation(2, 3);
   const int64_t old = submit_evaluation(&submission), open = submit_evaluation(&submission);
-  char sql[640];
+  char sql[2048];
   REQUIRE(old > 0 && open > old);
   snprintf(sql, sizeof(sql),
            "INSERT INTO waiting_designs(job,first,bits,checksum) VALUES(%lld,0,x'00',0),"
@@ -407,6 +412,40 @@ static void opens_version_before_certificates(void)
   CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
 }
 
+/* Generations of version 24 have no results of re-evaluations, and later ones can have some. The
+ * designs of a certificate are known, but not what it says of them. */
+static void opens_version_before_re_evaluations(void)
+{
+  const struct mo_evaluation_request evaluation = draw_evaluation(2, 3);
+  const struct mo_certificate_request request = {
+      .record = {.settings = mo_certificate_defaults(), .n_trials = 1, .n_rollouts = 30},
+      .physics = evaluation.physics,
+      .controller = evaluation.controller,
+      .genotypes = evaluation.genotypes,
+      .forms = evaluation.forms,
+      .n_designs = 3,
+      .environment_set = "paper-test"};
+  static const uint8_t verdicts[3] = {MO_CLASS_HOLDS, MO_CLASS_HOLDS, MO_CLASS_HOLDS};
+  struct mo_certified found = {.id = 0};
+  int64_t id = 0;
+  bool replayed;
+  REQUIRE_OK(mo_store_submit_certificate(store, &request, &id, &replayed));
+  REQUIRE_OK(mo_store_run_start(store, id));
+  REQUIRE_OK(mo_store_certificate_finish(store, id, verdicts, 3));
+  close_store();
+  REQUIRE_OK(reopen_after(WITHOUT_25 "PRAGMA user_version=24"));
+  const struct mo_genotype genotype = mo_genotype_of(MO_STORE_WORKSPACE, &evaluation.genotypes[1]);
+  CHECK_OK(mo_store_certified(store, NULL, &genotype, &found));
+  CHECK_INT(found.id, id);
+  CHECK_INT(found.verdict, -1);
+  CHECK_OK(check_whole());
+  close_store();
+  CHECK_INT(outside_integer("SELECT count(*) FROM pragma_table_info('campaign_generations')"
+                            " WHERE name GLOB 'held_out_*'"),
+            10);
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+}
+
 static void names_of_atlases(void)
 {
   static const char *const good[] = {"a", "walk-10", "0", "a--b"}, *const bad[] = {
@@ -441,6 +480,7 @@ static const struct check_case cases[] = {
     {"opens a folder from before suites", opens_version_before_suites},
     {"opens a folder from before atlases", opens_version_before_atlases},
     {"opens a folder from before certificates", opens_version_before_certificates},
+    {"opens a folder from before re-evaluations", opens_version_before_re_evaluations},
     {"checks the names of atlases", names_of_atlases},
     {"reports contradictions", reports_what_contradicts_itself},
 };
