@@ -128,35 +128,56 @@ import(folder + 'views/certificate_words.js').then(({ badgesOf }) =>
 """
 
 
-def level(change, rank=1, low=None, diverged=0):
-    ends = None if low is None else [low, 2 * change - low]
-    return {"change": change, "change_interval": ends, "rank": rank, "diverged": diverged}
-
-
 def test_what_a_design_depends_on(browser):
-    """The rules are those of the verdicts: a change of 0.05 whose interval is above 0."""
-    axes = ["base", "precision", "step", "friction", "drop", "worlds"]
-    base = level(None)
-    designs = [
-        ("holds", 0.1, [level(0.2), level(0.2, 2), level(0.049, low=0.04), level(0), level(0)]),
-        ("falls", 0.1, [level(0), level(0.2, 12), level(0.05, low=0.01), level(0.3), level(0.3)]),
-        ("uncertain", 0.1, [level(0), level(0), level(0.3, low=-0.1), level(0), level(0.3)]),
-        ("diverges", 0.1, [level(0), level(None, 20, diverged=3), level(0),
-                           level(None, diverged=1), level(0)]),
-        ("nothing", None, [level(None, 20)] * 5)
-    ]
-    report = {"n_designs": 20, "levels": [{"axis": axis} for axis in axes],
-              "designs": [{"score": score, "rank": 1, "levels": [base, *levels]}
-                          for _, score, levels in designs]}
+    """The report says it; the words are here."""
+    def design(kept=True, worse=(), rank=1, diverged=0, score=0.1, axis="step"):
+        return {"score": score, "rank": 1, "worse": list(worse), "numerics": axis and {
+            "axis": axis, "kept": kept, "rank": rank, "diverged": diverged}}
+
+    cases = [
+        (design(rank=2), ["keeps its rank on finer steps"]),
+        (design(False, ["friction", "drop", "worlds"], rank=12),
+         ["rank 1 → 12 on finer steps", "depends on friction, the drop height"]),
+        (design(worse=["worlds"], axis="precision"),
+         ["keeps its rank in float64", "depends on all constants together"]),
+        (design(False, ["drop"], 20, 3),
+         ["in doubt: diverges on finer steps", "depends on the drop height"]),
+        (design(axis=None), []), (design(score=None, worse=["drop"]), ["has no score"])]
+    report = {"n_designs": 20, "designs": [one for one, _ in cases]}
     browser.open("nowhere")
-    found = browser.driver.execute_async_script(BADGES, report)
-    assert dict(zip([name for name, _, _ in designs], found)) == {
-        "holds": ["keeps its rank on finer steps"],
-        "falls": ["rank 1 → 12 on finer steps", "depends on friction, the drop height"],
-        "uncertain": ["keeps its rank on finer steps", "depends on all constants together"],
-        "diverges": ["in doubt: diverges on finer steps", "depends on the drop height"],
-        "nothing": ["has no score"]
-    }
+    assert browser.driver.execute_async_script(BADGES, report) == [words for _, words in cases]
+    alone = {"n_designs": 1, "designs": [design(), design(False)]}
+    assert browser.driver.execute_async_script(BADGES, alone) == [
+        ["keeps its score on finer steps"], ["another score on finer steps"]]
+
+
+def test_badges_in_lists(browser, service):
+    """Champions show their mean in fresh worlds, and with the leaderboard and the stage a link to
+    their certificate."""
+    value = {"mode": "zero-shot", "population": 6, "generations": 1, "seed": 21,
+             "exclude_pretraining": False, "physics": {"n_steps": 120},
+             "re_evaluate": {"every": 1, "environments": 4}}
+    id = service.post("/v1/campaigns", value)["id"]
+    assert await_end(service, f"/v1/campaigns/{id}").json()["state"] == "succeeded"
+    certificate = service.post("/v1/certificates", {
+        "population": {"campaign": id, "best": 2}, "axes": ["friction"], "levels": [0.5]})["id"]
+    assert await_end(service, f"/v1/certificates/{certificate}").json()["state"] == "succeeded"
+    champions = service.get(f"/v1/campaigns/{id}/champions?count=8")["items"]
+    browser.open(f"campaigns/{id}")
+    browser.until("document.querySelectorAll('.pick .held-out').length === 6")
+    browser.until("document.querySelectorAll('.pick .badge').length === 2")
+    shown = browser.texts(".pick")
+    for one in champions:
+        card, = [text for text in shown if f"#{one['number']}," in text]
+        assert f"fresh worlds: {one['held_out']['mean']:.4f}" in card, card
+        assert (one["certificate"]["class"].replace("_", " ") in card if one["certificate"]
+                else "holds" not in card)
+    certified = next(one for one in champions if one["certificate"])
+    browser.open(f"stage?designs={certified['robot']}")
+    browser.until("document.querySelector('.known .badge')")
+    assert certified["certificate"]["class"].replace("_", " ") in browser.texts(".known")[0]
+    browser.driver.find_element("css selector", ".known .badge").click()
+    browser.until(f"location.hash === '#/certificates/{certificate}'")
 
 
 # Where things are that must not move, and which levels are shown.

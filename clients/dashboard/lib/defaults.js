@@ -117,6 +117,7 @@ export function usualCampaign(job, preset, periodS, places) {
     selection: { kind: 'truncation', ...SELECTIONS[selection.kind] },
     racing: job.settings.select_by ? 'off' : 'lossless', exclude_pretraining: mode !== 'study',
     collapse_share: 0.5, measures: [], select_by: null, aggregate: { kind: 'mean' },
+    re_evaluate: null,
     physics: physicsOf(isPaper, job.controller ? periodS : randomPeriodS(isPaper)),
     learning: learning && {
       parent_steps: steps, child_steps: steps, batch: own,

@@ -10,9 +10,6 @@ const AXES = {
   actuation: ['Actuation', 'actuation'], friction: ['Friction', 'friction'],
   drop: ['Drop height', 'the drop height'], worlds: ['All constants', 'all constants together'],
 };
-/** The rules of verdicts: MO_VERDICT_CHANGE and MO_VERDICT_RANKS of the library. */
-const [CHANGE, RANKS] = [0.05, 0.1];
-
 export const axisTitle = (axis) => AXES[axis]?.[0] ?? axis;
 
 /** Describes a level without its axis. */
@@ -28,35 +25,26 @@ export function levelWords({ axis, level, environments, precision }, base) {
   return level === null ? '' : `× ${level}`;
 }
 
-/** Returns whether a design diverges at a level, or is clearly worse than at the base. */
-const isWorse = ({ change, change_interval: interval, diverged }) =>
-  diverged > 0 || (change >= CHANGE && !(interval?.[0] <= 0));
-
 /**
- * Returns what holds of a design and what its score depends on, as texts with a class.
+ * Returns what holds of a design and what its score depends on, as texts with a class. The report
+ * says so: the rules are those of the library.
  * @param {any} design of the report
- * @param {any} report
+ * @param {{n_designs: number}} report
  * @returns {[string, string][]}
  */
-export function badgesOf(design, { levels, n_designs: n }) {
-  if (design.score === null) return [['has no score', 'bad']];
-  const axes = levels.map(({ axis }) => axis);
-  const hasSteps = axes.includes('step');
-  const fine = design.levels[axes.lastIndexOf(hasSteps ? 'step' : 'precision')];
-  const where = hasSteps ? 'on finer steps' : 'in float64';
+export function badgesOf({ score, rank, numerics, worse }, { n_designs: n }) {
+  if (score === null) return [['has no score', 'bad']];
   /** @type {[string, string][]} */
   const badges = [];
-  if (fine?.diverged) {
-    badges.push([`in doubt: diverges ${where}`, 'bad']);
-  } else if (fine && n > 1) {
-    const isKept = Math.abs(fine.rank - design.rank) <= Math.max(1, RANKS * n);
-    badges.push(isKept ? [`keeps its rank ${where}`, 'good']
-      : [`rank ${design.rank} → ${fine.rank} ${where}`, 'bad']);
+  if (numerics) {
+    const where = numerics.axis === 'step' ? 'on finer steps' : 'in float64';
+    badges.push(numerics.diverged ? [`in doubt: diverges ${where}`, 'bad']
+      : numerics.kept ? [`keeps its ${n > 1 ? 'rank' : 'score'} ${where}`, 'good']
+      : [n > 1 ? `rank ${rank} → ${numerics.rank} ${where}` : `another score ${where}`, 'bad']);
   }
-  const worse = new Set(axes.filter((axis, i) => AXES[axis]?.[1] && isWorse(design.levels[i])));
-  if (worse.size > 1) worse.delete('worlds');
-  if (worse.size) {
-    badges.push([`depends on ${[...worse].map((axis) => AXES[axis][1]).join(', ')}`, 'but']);
+  const axes = worse.length > 1 ? worse.filter((axis) => axis !== 'worlds') : worse;
+  if (axes.length) {
+    badges.push([`depends on ${axes.map((axis) => AXES[axis]?.[1] ?? axis).join(', ')}`, 'but']);
   }
   return badges;
 }

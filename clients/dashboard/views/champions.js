@@ -10,6 +10,7 @@ import { trayButton } from './add.js';
 import { breedButton } from './forms.js';
 
 const CHAMPIONS = 8;
+const badges = () => import('./certificate_badges.js');
 const WALKING_MAX = 64;
 
 /** A stage for designs of a campaign, in the world of their scores. */
@@ -47,6 +48,7 @@ export class CampaignStage {
       const robots = await rollOfCampaign(this.job(), shown, this.signal);
       if (turn !== this.turn) return; // something else was chosen
       this.player.setRobots(robots);
+      (await badges()).markStage(this.player, robots, this.signal);
       this.player.setNote('');
     } catch (error) {
       if (!this.signal.aborted && turn === this.turn) this.player.setNote(error.message);
@@ -106,6 +108,7 @@ export class Champions {
       (element, design) => {
         element.querySelector('.crown').hidden = design.number !== best.number;
       });
+    (await badges()).markCards(this.cards, shown, this.shown);
     if (this.stage.isEmpty) await this.stage.walk(shown.slice(0, 4));
   }
 

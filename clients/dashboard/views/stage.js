@@ -65,7 +65,9 @@ export async function mount(main, path, parameters, app) {
     };
     walk.more = show;
     try {
-      show(await walking);
+      const robots = await walking;
+      show(robots);
+      import('./certificate_badges.js').then((to) => to.markStage(player, robots, stop.signal));
       known = true;
       keepView();
     } catch (error) {

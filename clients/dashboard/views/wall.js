@@ -68,5 +68,6 @@ export class Wall {
 
   add(designs) {
     this.element.append(...designs.map((design) => this.card(design)));
+    import('./certificate_badges.js').then((to) => to.markCards(this.element, designs));
   }
 }
