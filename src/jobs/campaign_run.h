@@ -59,8 +59,7 @@ struct mo_campaign_run {
   struct mo_campaign_rows *rows, *other_rows, all_rows[2];
   struct mo_variation_counts variation;
 
-  /* Of the current generation, if it is re-evaluated (campaign_re_evaluate.c). */
-  struct mo_re_evaluated held_out[MO_ELITE_MAX];
+  struct mo_re_evaluated held_out[MO_ELITE_MAX]; /* (n_held_out) campaign_re_evaluate.c */
   uint32_t n_held_out;
 
   struct mo_campaign_learning learning; /* campaign_learn.c */

@@ -75,8 +75,7 @@ struct mo_imported_evaluation {
   uint32_t numbers[MO_DESIGNS_MAX];
 };
 
-/* One member of a population. */
-struct mo_campaign_member {
+struct mo_campaign_member { /* of a population */
   uint32_t number;
   double score;
 };

@@ -10,7 +10,7 @@
 #include "base/fields.h"
 
 /* Every `every` generations, in the last one, and in one that is short of children, the elite is
- * scored in `environments` fresh worlds, which are drawn anew for each of these generations. The
+ * scored in `environments` fresh worlds, which are new ones for each of these generations. The
  * elite: the best `designs` of the population, and its champions. */
 struct mo_re_evaluation {
   uint32_t every;        /* 0: never; at most MO_GENERATIONS_MAX */

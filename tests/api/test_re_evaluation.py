@@ -132,7 +132,7 @@ def test_the_worlds_are_those_of_a_certificate(service, made):
             assert result["high"] - result["mean"] == pytest.approx(
                 STUDENT[70] * result["standard_error"], rel=1e-5)
     seeds = {seed_of(5, generation) for generation in (0, 2, 3)}
-    assert len(seeds) == 3, "the worlds are drawn anew"
+    assert len(seeds) == 3, "each generation has new worlds"
 
 
 def test_a_suite_has_held_out_worlds(service):

@@ -1,5 +1,5 @@
-/** What is known of designs in lists and on the stage in addition to their scores: the mean in fresh
- * worlds, and the newest certificate. It is loaded where designs are shown. */
+/** What is known of designs in lists and on the stage in addition to their scores: the mean in
+ * fresh worlds, and the newest certificate. It is loaded where designs are shown. */
 
 import { getJson } from '../lib/api.js';
 import { fill, h } from '../lib/dom.js';
@@ -27,8 +27,8 @@ function badgeOf({ id, class: verdict }, of = '') {
 
 /** Returns the mean in fresh worlds, with its interval. */
 function heldOut({ mean, low, high, worlds, diverged, generation }, shown) {
-  return h('span.muted.held-out', { title: `Mean in ${worlds} fresh worlds that selected nothing, ` +
-    `with its 95 % interval; generation ${generation}` },
+  return h('span.muted.held-out', { title: `Mean in ${worlds} fresh worlds that selected ` +
+    `nothing, with its 95 % interval; generation ${generation}` },
   mean === null ? `fresh worlds: ${diverged} of ${worlds} diverged`
     : `fresh worlds: ${shown(mean)} (${shown(low)} to ${shown(high)})`);
 }

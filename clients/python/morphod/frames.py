@@ -54,7 +54,8 @@ _OF_DESIGNS = {
 
 def frame_of_designs(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Returns a table of designs of a campaign: always with the columns of results in fresh worlds
-    (`held_out_mean`, `held_out_low`, …) and of certificates (`certificate`, `certificate_class`)."""
+    (`held_out_mean`, `held_out_low`, …) and of certificates (`certificate`,
+    `certificate_class`)."""
     def line(row: Mapping[str, Any]) -> dict[str, Any]:
         made = {name: value for name, value in row.items() if name not in _OF_DESIGNS}
         for name, columns in _OF_DESIGNS.items():
