@@ -494,8 +494,9 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
 #define CAMPAIGNS                                                                                  \
   "id mode preset name " JOB " phase controller.name controller.sha256 group.id group.replicate:n" \
   " settings.seed:n settings.population:n settings.generations:n progress.generation:n"            \
-  " progress.designs:n newest.score.mean:n newest.score.quantiles.p0:n newest.diversity:n end"     \
-  " result.controller.sha256 newest.held_out.mean:n newest.held_out.low:n newest.held_out.high:n"
+  " progress.designs:n newest.score.mean:n newest.score.quantiles.p0:n newest.diversity:n"         \
+  " newest.held_out.mean:n newest.held_out.low:n newest.held_out.high:n end"                       \
+  " result.controller.sha256"
 #define DESIGNS                                                                                    \
   "id:d genotype:g voxels:n masses:n springs:n first_seen_at score:n"                              \
   " robot scored_genotype:g certificate.id certificate.class"

@@ -106,7 +106,8 @@ static void show(void *context, double rollouts_per_s)
   uint32_t done = 0;
   for (uint32_t i = 0; i < grid->n_designs; i++)
     done += grid->left[i] == 0;
-  mo_campaign_advance(elite->run, (uint64_t)done * elite->n / grid->n_designs, rollouts_per_s);
+  if (grid->n_sets > 0)
+    mo_campaign_advance(elite->run, done / grid->n_sets, rollouts_per_s);
 }
 
 /* Scores the elite in `n_sets` sets of the next worlds. */

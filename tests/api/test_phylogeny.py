@@ -79,7 +79,7 @@ def read_standard(text):
         assert re.fullmatch(r"\[(none|[0-9]+(,[0-9]+)*)\]", row["ancestor_list"])
         ancestors = [] if row["ancestor_list"] == "[none]" else json.loads(row["ancestor_list"])
         origin, destruction = float(row["origin_time"]), float(row["destruction_time"])
-        assert 0 <= origin <= destruction and len(row) == 14 and None not in row
+        assert 0 <= origin <= destruction and len(row) == 19 and None not in row
         assert all(taxa[ancestor][1] < origin <= taxa[ancestor][2]
                    for ancestor in ancestors), "every ancestor exists, is older, and lived"
         taxa[int(row["id"])] = (ancestors, origin, destruction, row)

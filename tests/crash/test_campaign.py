@@ -4,6 +4,7 @@ import random
 
 import pytest
 from campaigns import MODES, history, request, rollouts, undisturbed, work
+from daemon import open_database
 
 
 def kill_one_campaign(daemon, generator, value, round_name, n_kills):
@@ -65,6 +66,60 @@ def test_kill_at_random_moments(daemon, soak, seed, mode):
         assert rounds <= n_kills, "campaigns end before they can be killed"
     print(f"{mode}: {kills} kills of {rounds} campaigns, {kills_while_running} while they ran")
     assert 2 * kills_while_running >= kills
+
+
+def held_out(daemon, job):
+    """Returns the bits of all results in fresh worlds."""
+    database = open_database(daemon.state)
+    rows = database.execute("SELECT generation,number,worlds,diverged,mean,standard_error FROM"
+                            " campaign_held_out WHERE job=? ORDER BY 1,2", (job, )).fetchall()
+    database.close()
+    return rows
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_kills_during_re_evaluations(daemon, seed, mode):
+    """Most of the work is in fresh worlds, so kills come between the scores of a generation and
+    its commit: the history and the results have the same bits."""
+    print(f"seed {seed}")
+    generator = random.Random(f"{seed} {mode}")
+    value = request(mode, seed % 100000, 4) | {
+        "re_evaluate": {"every": 1, "environments": 100}, "environments": "paper-test"}
+    quiet = daemon("undisturbed", workers=2)
+    with quiet:
+        job = quiet.submit(value, "campaigns")
+        quiet.succeed(job, "campaigns", timeout_s=600)
+        expected, all_rollouts = history(quiet, job), rollouts(quiet)
+        quiet.end()
+    results = held_out(quiet, job)
+    assert len(results) == 5 * 12 and all_rollouts >= 5 * 12 * 100
+    victim, kills = daemon("victim", workers=1).start(), 0
+    job = victim.submit(value, "campaigns")
+    path = f"/v1/campaigns/{job}"
+    while kills < 6:
+        now = victim.json(path)
+        if now["state"] == "failed":
+            assert "killed" in now["error"]["detail"]
+            victim.act(job, "resume")
+        # Beyond the scores of a generation of 12 parents and 12 children.
+        least = generator.uniform(240, 240 + 1200)
+        state = victim.awaited(path, lambda now: rollouts(victim) >= least or now["state"] not in
+                               ("queued", "running"), timeout_s=600)["state"]
+        if state == "succeeded":
+            break
+        victim.kill()
+        kills += 1
+        victim.settings["workers"] = generator.choice((1, 2, 7))
+        victim.start()
+    if victim.json(path)["state"] == "failed":
+        victim.act(job, "resume")
+    victim.succeed(job, "campaigns", 600, attempts=3)
+    found = history(victim, job)
+    for part, what in expected.items():
+        assert found[part] == what, f"{part} differ from those of an undisturbed run"
+    victim.end()
+    assert held_out(victim, job) == results
+    assert kills >= 2
 
 
 @pytest.mark.parametrize("mode", MODES)
