@@ -391,6 +391,37 @@ def test_a_campaign_as_tables(m, service, campaign):
     assert first.champions(3)["number"].nunique() == 3 and first.learning().empty
 
 
+def test_scores_without_luck(m, service, campaign):
+    """The columns are there with and without results."""
+    first = m.get_campaign(campaign[0])
+    plain = first.champions(3)
+    names = [f"held_out_{name}" for name in ("generation", "worlds", "mean", "standard_error",
+                                             "low", "high", "diverged")]
+    assert plain[names].isna().all(axis=None) and plain["certificate"].isna().all()
+    group = m.campaign("zero-shot", population=20, generations=1, physics={"n_steps": 60},
+                       re_evaluate={"every": 1, "environments": 5, "designs": 2})
+    group.wait()
+    lucky = group[0]
+    certificate = m.certify(campaign=lucky.id, best=1, axes=["friction"], levels=[0.5])
+    certificate.wait()
+    report = certificate.report()
+    items = service.get(f"/v1/campaigns/{lucky.id}/champions")["items"]
+    table = lucky.champions()
+    assert table["held_out_mean"].tolist() == [row["held_out"]["mean"] for row in items]
+    assert (table["held_out_low"] < table["held_out_mean"]).all()
+    assert (table["held_out_worlds"] == 5).all() and len(table) == 12
+    certified = table[table["certificate"].notna()]
+    assert certified["robot"].tolist() == [report.designs[0].robot]
+    assert certified["certificate_class"].tolist() == [report.designs[0].verdict_class]
+    assert set(report.designs[0].worse) <= {"friction"}
+    population = lucky.population()
+    assert 12 <= population["held_out_mean"].notna().sum() < 20
+    assert set(
+        population.columns) == set(table.columns) - {"distinctiveness"}
+    assert lucky.curve()["held_out_mean"].notna().all()
+    assert lucky.phylogeny().frame().shape[0] == 40
+
+
 def test_lists_are_saved_as_files(m, service, campaign, tmp_path):
     path = m.export("campaigns/generations", tmp_path / "two.csv", label="for tests")
     table = pandas.read_csv(path, float_precision="round_trip")
