@@ -75,6 +75,24 @@ def made(service):
     return job, report
 
 
+def test_what_verdicts_say_in_brief(made):
+    """The class, the numerics and the axes follow from the levels, by the rules of
+    docs/trust.md."""
+    report = made[1]
+    axes = [row["axis"] for row in report["levels"]]
+    finest = len(axes) - 1 - axes[::-1].index("step")
+    for design in report["designs"]:
+        at = design["levels"][finest]
+        kept = not at["diverged"] and abs(at["rank"] - design["rank"]) <= 1
+        assert design["numerics"] == {"axis": "step", "kept": kept, "rank": at["rank"],
+                                      "diverged": at["diverged"]}
+        worse = {axis for axis, one in zip(axes, design["levels"]) if one["diverged"] or (
+            one["change"] is not None and one["change"] >= 0.05 and one["change_interval"][0] > 0)}
+        worse &= {"held_out", "friction", "worlds"}
+        assert set(design["worse"]) == worse
+        assert design["class"] == ("in_doubt" if not kept else "depends" if worse else "holds")
+
+
 def test_the_job(service, made):
     job, report = made
     shown = job["certificate"]
