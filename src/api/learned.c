@@ -80,6 +80,13 @@ void mo_api_get_training_controller(struct mo_request *request)
     mo_reply_error(request, code, "training");
     return;
   }
+  if (status.record.each) {
+    mo_reply_problem(request, 404, NULL,
+                     "The training has a controller per design, and none of its own; GET "
+                     "/v1/trainings/%lld/each lists the designs and the controllers that it keeps.",
+                     (long long)id);
+    return;
+  }
   uint32_t at = status.record.settings.n_steps;
   const bool result = status.job.has_result && (!named || step == at);
   if (result)
@@ -179,9 +186,10 @@ void mo_api_get_training_held_out(struct mo_request *request)
   if (code != MO_OK)
     mo_reply_error(request, code, "training");
   else
-    reply_held_out(request, genotypes,
-                   n < settings->held_out_designs ? n : settings->held_out_designs, environments,
-                   n_environments, &settings->physics);
+    reply_held_out(
+        request, genotypes,
+        n < settings->held_out_designs || status.record.each ? n : settings->held_out_designs,
+        environments, n_environments, &settings->physics);
   mo_environments_free(environments, n_environments);
   free(genotypes);
 }

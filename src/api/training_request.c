@@ -9,6 +9,11 @@
 #include "store/fields.h"
 #include "world/factors.h"
 
+#define NOT_GIVEN UINT32_MAX
+/* Longest name that leaves room for "-" and the position of a design. */
+#define EACH_NAME_MAX (MO_NAME_BYTES_MAX - 5)
+_Static_assert(MO_TRAINING_DESIGNS_MAX <= 10000, "positions have at most four digits");
+
 static void read_population(struct mo_json *json, void *value)
 {
   struct mo_parsed_training *parsed = value;
@@ -31,6 +36,10 @@ static const struct mo_field rows[] = {
     {"population", MO_FIELD_OWN, 0, 0, .own = &population},
     {"environments", MO_FIELD_OWN, 0, AT(parts), .own = &mo_environments_field},
     {"tasks", MO_FIELD_OWN, 0, AT(parts), .own = &mo_tasks_field},
+    {"each", MO_FIELD_FLAG, 0, AT(request.record.each)},
+    {"keep", MO_FIELD_WORD, 0, AT(request.record.keep), .words = mo_keep_words},
+    {"best", MO_FIELD_COUNT, 0, AT(request.record.keep_best), .min = 1,
+     .max = MO_TRAINING_DESIGNS_MAX},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
     {NULL, MO_FIELD_INLINE, 0, AT(request.record), .group = &mo_training_record_fields},
 };
@@ -58,6 +67,40 @@ static void check_finetune(struct mo_json *json, const struct mo_parsed_training
                      mo_learning_preset_words[parsed->preset]);
 }
 
+/* Each design is its own validation set, which is scored before its first and after its last step.
+ * Names get the position of the design. */
+static void check_each(struct mo_json *json, struct mo_parsed_training *parsed)
+{
+  struct mo_training_record *record = &parsed->request.record;
+  const bool keeps = record->keep == MO_KEEP_ALL || record->keep_best > 0;
+  if (record->keep >= 0 && record->keep_best > 0)
+    mo_json_fault_at(json, 0, "/best", "cannot be combined with keep; give only one of them");
+  if (record->validate_every_steps != NOT_GIVEN)
+    mo_json_fault_at(json, 0, "/validation/every_steps",
+                     "must be left out, because each design is scored before its first and after "
+                     "its last step");
+  if (record->settings.held_out_designs != NOT_GIVEN)
+    mo_json_fault_at(json, 0, "/validation/designs",
+                     "must be left out, because each design is scored alone");
+  if (keeps && strlen(record->name) > EACH_NAME_MAX)
+    mo_json_fault_at(json, 0, "/name",
+                     "must have at most %d characters, because the position of a design is added "
+                     "to it",
+                     EACH_NAME_MAX);
+}
+
+/* Refuses the members of a training of each design for other trainings. */
+static void check_not_each(struct mo_json *json, const struct mo_parsed_training *parsed)
+{
+  static const char words[] =
+      "is only for a finetuning with \"each\": true, which makes a controller "
+      "per design";
+  if (parsed->request.record.keep >= 0)
+    mo_json_fault_at(json, 0, "/keep", "%s", words);
+  if (parsed->request.record.keep_best > 0)
+    mo_json_fault_at(json, 0, "/best", "%s", words);
+}
+
 static void check_pretrain(struct mo_json *json, const struct mo_parsed_training *parsed)
 {
   const struct mo_training_settings *settings = &parsed->request.record.settings;
@@ -68,6 +111,9 @@ static void check_pretrain(struct mo_json *json, const struct mo_parsed_training
   if (parsed->has_population)
     mo_json_fault_at(json, 0, "/population",
                      "a pretraining draws its own bodies; only a finetuning has a population");
+  if (parsed->request.record.each)
+    mo_json_fault_at(json, 0, "/each",
+                     "a pretraining draws its own bodies; only a finetuning has designs");
   if (bodies > MO_TRAINING_BODIES_MAX)
     mo_json_fault_at(
         json, 0, "/steps",
@@ -104,6 +150,10 @@ static int check(struct mo_json *json, void *any)
     check_finetune(json, parsed);
   else if (parsed->has_kind)
     check_pretrain(json, parsed);
+  if (parsed->request.record.each)
+    check_each(json, parsed);
+  else
+    check_not_each(json, parsed);
   if (parsed->has_kind && has_sensor &&
       (finetune || (parts->has_controller && !parts->no_controller)))
     mo_json_fault_at(
@@ -127,13 +177,16 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
   const enum mo_training_kind kind = known ? settings->kind : MO_TRAINING_PRETRAIN;
   request->record =
       (struct mo_training_record){.settings = mo_training_preset(kind, parsed->preset),
-                                  .validate_every_steps = 50,
+                                  .validate_every_steps = NOT_GIVEN,
                                   .checkpoint_every_s = 60,
                                   .checkpoints_kept = 3};
   const enum mo_sensor sensor = settings->sensor;
   settings->sensor = (enum mo_sensor) - 1;
   const uint32_t held_out_environments = settings->held_out_environments;
   settings->held_out_environments = 0;
+  const uint32_t held_out_designs = settings->held_out_designs;
+  settings->held_out_designs = NOT_GIVEN;
+  request->record.keep = -1;
   if (!known)
     settings->kind = (enum mo_training_kind) - 1;
   int error = mo_read_body(text, size, &mo_training_request_fields, parsed, parts, check, faults);
@@ -141,6 +194,12 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
     settings->sensor = sensor;
   if (settings->held_out_environments == 0)
     settings->held_out_environments = held_out_environments;
+  if (settings->held_out_designs == NOT_GIVEN)
+    settings->held_out_designs = request->record.each ? 1 : held_out_designs;
+  if (request->record.keep < 0)
+    request->record.keep = MO_KEEP_NONE;
+  if (request->record.validate_every_steps == NOT_GIVEN)
+    request->record.validate_every_steps = request->record.each ? settings->n_steps : 50;
   if (kind == MO_TRAINING_FINETUNE && !parts->has_controller)
     memcpy(parts->controller, "default", sizeof("default"));
   if (error == MO_OK && mo_training_settings_check(settings, &message) != MO_OK) {

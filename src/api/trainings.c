@@ -5,6 +5,7 @@
 #include "api/job_json.h"
 #include "api/jobs.h"
 #include "api/submission.h"
+#include "base/words.h"
 #include "exchange/columns.h"
 #include "store/fields.h"
 #include "store/worlds.h"
@@ -54,6 +55,11 @@ static void write_settings(struct mo_text *text, const struct mo_training_status
   write_worlds(text, record, tasks);
   mo_member_count_if(text, "n_designs", record->settings.kind == MO_TRAINING_FINETUNE,
                      record->n_designs);
+  mo_text_member_bool(text, "each", record->each);
+  mo_text_member(text, "keep",
+                 !record->each || record->keep_best > 0 ? NULL
+                                                        : mo_word(mo_keep_words, record->keep));
+  mo_member_count_if(text, "best", record->keep_best > 0, record->keep_best);
   if (record->population > 0)
     mo_text_format(text, ",\"population\":{\"%s\":\"%lld\"}}", mo_job_kind_name(population_kind),
                    (long long)record->population);
@@ -72,7 +78,9 @@ static void write_progress(struct mo_text *text, const struct mo_training_status
   const struct mo_training_report *last = status->step > 0 ? &status->last.report : &none;
   bool runs = live->phase != MO_PHASE_IDLE;
   mo_text_format(text, ",\"progress\":{\"step\":%u,\"steps\":%u", step_of(status, live),
-                 status->record.settings.n_steps);
+                 status->job.steps_total);
+  mo_member_count_if(text, "bodies_done", status->record.each, status->bodies_done);
+  mo_member_count_if(text, "bodies", status->record.each, status->record.n_designs);
   mo_text_member_number(text, "mean_loss", last->mean_loss);
   mo_text_member_number(text, "gradient_norm", last->gradient_norm);
   mo_text_member_number(text, "rate", last->rate);
@@ -105,9 +113,10 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
                             enum mo_job_kind population_kind, const struct mo_environment *tasks,
                             const struct mo_live *live)
 {
-  static const char *const below[] = {"steps",       "steps",       "validations", "validations",
-                                      "checkpoints", "checkpoints", "controller",  "controller",
-                                      "held_out",    "held-out",    NULL};
+  static const char *const below[] = {"each",        "each",        "steps",       "steps",
+                                      "validations", "validations", "checkpoints", "checkpoints",
+                                      "controller",  "controller",  "held_out",    "held-out",
+                                      NULL};
   const struct mo_training_record *record = &status->record;
   char made[MO_MADE_BYTES];
   const char *name = mo_result_name(&status->job, record->name, made);
@@ -128,7 +137,7 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
   write_code(text, &status->code);
   mo_member_controller(text, "controller", status->job.has_result, name,
                        &status->job.result_sha256);
-  mo_links_write(text, &status->job, below);
+  mo_links_write(text, &status->job, record->each ? below : below + 2);
 }
 
 void mo_training_json_job(struct mo_text *text, const void *any, const struct mo_live *live)
@@ -141,8 +150,7 @@ void mo_training_json_job(struct mo_text *text, const void *any, const struct mo
   mo_job_write_head(text, &status->job, live);
   mo_text_format(text, ",\"training\":{\"kind\":\"%s\"", kind_name(status));
   mo_text_member(text, "name", mo_result_name(&status->job, status->record.name, made));
-  mo_text_format(text, ",\"step\":%u,\"steps\":%u", step_of(status, live),
-                 status->record.settings.n_steps);
+  mo_text_format(text, ",\"step\":%u,\"steps\":%u", step_of(status, live), status->job.steps_total);
   mo_text_member_number(text, "score",
                         status->has_validation ? status->validation.mean_score : NAN);
   if (status->record.n_environments > 0 && !status->record.draws_worlds)

@@ -55,7 +55,21 @@ static const struct mo_field stored_own_rows[] = {
      .max = MO_TRAINING_ENVIRONMENTS_MAX, .unit = "", .help = ""},
     {"draws_worlds", MO_FIELD_FLAG, 0, AT(draws_worlds), .unit = "", .help = ""},
 };
-static const struct mo_fields stored_own = MO_FIELDS(stored_own_rows);
+const char *const mo_keep_words[] = {"none", "all", NULL};
+static const struct mo_field stored_each_rows[] = {
+    {"each", MO_FIELD_FLAG, 0, AT(each), .unit = "", .help = ""},
+    {"keep", MO_FIELD_WORD, 0, AT(keep), .words = mo_keep_words, .unit = "", .help = ""},
+    {"keep_best", MO_FIELD_COUNT, 0, AT(keep_best), .min = 0, .max = MO_TRAINING_DESIGNS_MAX,
+     .unit = "", .help = ""},
+};
+/* By whether a training has environments of its own, and whether it is of each design. */
+static const struct mo_field stored_forms[][2] = {
+    {{NULL, MO_FIELD_INLINE, 0, 0,
+      .group = &(const struct mo_fields)MO_FIELDS(stored_training_rows)},
+     {NULL, MO_FIELD_INLINE, 0, 0, .group = &(const struct mo_fields)MO_FIELDS(stored_each_rows)}},
+    {{NULL, MO_FIELD_INLINE, 0, 0, .group = &(const struct mo_fields)MO_FIELDS(stored_own_rows)},
+     {NULL, MO_FIELD_INLINE, 0, 0, .group = &(const struct mo_fields)MO_FIELDS(stored_each_rows)}},
+};
 #undef AT
 
 /* ---- campaigns ---- */
@@ -118,7 +132,12 @@ static const struct mo_fields all_stored = MO_FIELDS(all_stored_rows);
 
 /* ---- in the database ---- */
 
-static const struct mo_fields stored_training = MO_FIELDS(stored_training_rows);
+static void write_training(const struct mo_training_record *record, struct mo_text *text)
+{
+  const bool has_own = record->n_environments > 0;
+  mo_fields_write_object(
+      text, &(const struct mo_fields){stored_forms[has_own], record->each ? 2 : 1}, record);
+}
 
 /* Writes only members that the campaign uses: the settings of all others keep the form that they
  * always had, in which bundles have them, too. */
@@ -144,12 +163,10 @@ static void write_campaign(const struct mo_campaign_record *record, struct mo_te
 
 void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text)
 {
-  const bool has_own =
-      kind == MO_JOB_TRAINING && ((const struct mo_training_record *)record)->n_environments > 0;
   if (kind == MO_JOB_CAMPAIGN)
     write_campaign(record, text);
   else
-    mo_fields_write_object(text, has_own ? &stored_own : &stored_training, record);
+    write_training(record, text);
 }
 
 static int read_stored(const char *json, const struct mo_fields *fields, void *record)
@@ -193,10 +210,12 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
     struct mo_training_settings *settings = &training->settings;
     training->environment_set[0] = '\0';
     training->n_environments = 0;
-    training->draws_worlds = false;
+    training->draws_worlds = training->each = false;
+    training->keep = MO_KEEP_NONE;
+    training->keep_best = 0;
     *settings = mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_WORKSTATION);
     settings->physics = mo_paper_physics();
-    return read_stored(json, &stored_own, record);
+    return read_stored(json, &(const struct mo_fields){stored_forms[1], 2}, record);
   }
   struct mo_campaign_record *campaign = record;
   campaign->settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);

@@ -94,7 +94,7 @@ static int read_training(sqlite3_stmt *row, struct mo_job *job, void *any)
   job->n_designs = mo_column_u32(row, MO_COLUMN_N_DESIGNS);
   job->physics = record->settings.physics;
   job->sensor = record->settings.sensor;
-  job->steps_total = record->settings.n_steps;
+  job->steps_total = record->settings.n_steps * (record->each ? job->n_designs : 1);
   job->steps_done = mo_column_u32(row, MO_COLUMN_STEP);
   mo_column_text(row, MO_COLUMN_NAME, record->name, sizeof(record->name));
   memcpy(job->environment_set, record->environment_set, sizeof(job->environment_set));

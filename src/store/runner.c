@@ -155,6 +155,7 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
       "SELECT count(*),count(idle),coalesce(max(idle),0) FROM (SELECT iif("
       "EXISTS(SELECT 1 FROM checkpoints WHERE job=j.id AND stored_us>?1) OR "
       "EXISTS(SELECT 1 FROM campaign_generations WHERE job=j.id AND stored_us>?1) OR "
+      "EXISTS(SELECT 1 FROM training_bodies WHERE job=j.id AND stored_us>?1) OR "
       /* Losses have no time of their own; this event is committed with some of them. */
       "EXISTS(SELECT 1 FROM events WHERE job=j.id AND time_us>?1 AND type='campaign.progress'"
       " AND data LIKE '%\"phase\":\"scoring\"%') OR "

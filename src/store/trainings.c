@@ -69,10 +69,11 @@ int mo_store_submit_training(struct mo_store *store, const struct mo_training_re
 static int load_status(struct mo_connection *reader, int64_t id, void *any)
 {
   static const char checkpoint_sql[] = "SELECT coalesce(max(step),0) FROM checkpoints WHERE job=?1";
+  static const char bodies_sql[] = "SELECT count(*) FROM training_bodies WHERE job=?1";
   struct mo_training_status *status = any;
   sqlite3_stmt *row;
   bool has_step;
-  int64_t step = 0;
+  int64_t step = 0, bodies = 0;
   int error = mo_job_row(reader, id, MO_JOB_TRAINING, &row);
   memset(status, 0, sizeof(*status));
   if (error == MO_OK)
@@ -86,8 +87,11 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
                           &status->has_validation);
   if (error == MO_OK)
     error = mo_sql_find(reader, &step, checkpoint_sql, mo_int(id));
+  if (error == MO_OK && status->record.each)
+    error = mo_sql_find(reader, &bodies, bodies_sql, mo_int(id));
   status->step = status->job.steps_done;
   status->checkpoint_step = (uint32_t)step;
+  status->bodies_done = (uint32_t)bodies;
   return error == MO_OK ? mo_training_code_load(reader, id, &status->code) : error;
 }
 

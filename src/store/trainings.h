@@ -14,6 +14,8 @@
 
 #include "store/checkpoints.h"
 
+enum mo_keep { MO_KEEP_NONE = 0, MO_KEEP_ALL = 1 };
+extern const char *const mo_keep_words[];
 /* The settings of a training. They never change after submission. */
 struct mo_training_record {
   struct mo_training_settings settings;
@@ -26,6 +28,12 @@ struct mo_training_record {
   uint32_t n_environments;
   bool draws_worlds;
   int64_t population; /* finetune: the job whose designs are used; 0: listed in the request */
+  /* finetune: each design learns alone, one after the other, from the same controller and with the
+   * same seed. Steps are then numbered through: step s of design i is i · settings.n_steps + s. Of
+   * the controllers, all or those of the keep_best best designs are kept. */
+  bool each;
+  int keep; /* enum mo_keep */
+  uint32_t keep_best;
   uint32_t validate_every_steps;   /* 0: never; else also before the first and after the last
                                       step */
   uint32_t checkpoint_every_steps; /* 0: by time only */
@@ -57,6 +65,7 @@ struct mo_training_status {
   struct mo_training_validation_row validation; /* the newest */
   uint32_t checkpoint_step;                     /* the newest; 0: none */
   struct mo_training_lineage code;              /* the code that computed the training */
+  uint32_t bodies_done;                         /* of a training of each design */
 };
 
 /* ---- submission (by jobs) ---- */
@@ -125,7 +134,7 @@ int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
 int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step,
                                  const uint8_t *bytes, size_t size, uint32_t keep);
 /* running → succeeded. Writes the controller's file, then its row, its name and the training's
- * state in one transaction. */
+ * state in one transaction. controller NULL: there is none. */
 int mo_store_training_finish(struct mo_store *store, int64_t id, const char *name,
                              const uint8_t *bytes, size_t size,
                              const struct mo_controller *controller);

@@ -193,7 +193,7 @@ static void requests(void)
 static void replies(void)
 {
   check_object("Physics", &mo_physics_fields, 0, false);
-  check_object("TrainingSettings", &mo_training_record_fields, 4, false);
+  check_object("TrainingSettings", &mo_training_record_fields, 7, false);
   check_object("CampaignSettings", &mo_campaign_record_fields, 3, false);
   check_object("CampaignLearning", &mo_campaign_record_learning_fields, 0, false);
   check_object("CertificateSettings", &mo_certificate_fields, 11, false);

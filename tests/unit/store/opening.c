@@ -4,13 +4,16 @@
 #include "store/atlases.h"
 #include "store/certificates.h"
 #include "store/internal.h"
+#include "store/training_bodies.h"
 #include "store/worlds.h"
+#include "training_fixture.h"
 
 #define NEWEST 25 /* schema */
 /* Takes back what versions 18 to 25 added. */
 #define DROP_COLUMN(name) "ALTER TABLE campaign_generations DROP COLUMN held_out_" name ";"
 #define WITHOUT_25                                                                                 \
-  "ALTER TABLE atlases DROP COLUMN measures; DROP TABLE certificate_verdicts; DROP TABLE "         \
+  "DROP TABLE training_bodies; ALTER TABLE atlases DROP COLUMN measures; DROP TABLE "              \
+  "certificate_verdicts; DROP TABLE "                                                              \
   "campaign_held_out;" DROP_COLUMN("designs") DROP_COLUMN("worlds") DROP_COLUMN("rollouts")        \
       DROP_COLUMN("diverged") DROP_COLUMN("mean") DROP_COLUMN("standard_error") DROP_COLUMN("low") \
           DROP_COLUMN("high") DROP_COLUMN("top_mean") DROP_COLUMN("top_score")
@@ -446,6 +449,39 @@ static void opens_version_before_re_evaluations(void)
   CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
 }
 
+/* Trainings of version 24 are read as before, and designs can be finetuned alone. */
+static void opens_version_before_bodies(void)
+{
+  const struct mo_evaluation_request drawn = draw_evaluation(2, 3);
+  struct mo_training_request request = submission_of(4);
+  request.record.settings.kind = MO_TRAINING_FINETUNE;
+  request.record.n_designs = 3;
+  request.genotypes = drawn.genotypes;
+  request.forms = drawn.forms;
+  const struct mo_training_body body = {.zero_shot = 0.5, .finetuned = NAN};
+  struct mo_training_body found;
+  const int64_t old = submit_training(&request);
+  REQUIRE(old > 0);
+  REQUIRE_OK(reopen_after(WITHOUT_25 "PRAGMA user_version=24"));
+  struct mo_training_status status = training_of(old);
+  CHECK(!status.record.each && status.bodies_done == 0 && status.job.steps_total == 4);
+  request.record.each = true;
+  request.record.keep_best = 2;
+  const int64_t id = submit_training(&request);
+  REQUIRE(id > old);
+  status = training_of(id);
+  CHECK(status.record.each && status.record.keep_best == 2 && status.record.keep == MO_KEEP_NONE &&
+        status.job.steps_total == 12);
+  REQUIRE_OK(mo_store_run_start(store, id));
+  CHECK_OK(mo_store_training_body(store, id, &status.record, &body, "t", NULL, 0, NULL));
+  REQUIRE(mo_store_training_bodies(store, id, -1, &found, 1) == 1);
+  CHECK(found.zero_shot == 0.5 && isnan(found.finetuned) && !found.is_kept);
+  CHECK_INT(training_of(id).bodies_done, 1);
+  CHECK_OK(check_whole());
+  close_store();
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+}
+
 static void names_of_atlases(void)
 {
   static const char *const good[] = {"a", "walk-10", "0", "a--b"}, *const bad[] = {
@@ -481,6 +517,7 @@ static const struct check_case cases[] = {
     {"opens a folder from before atlases", opens_version_before_atlases},
     {"opens a folder from before certificates", opens_version_before_certificates},
     {"opens a folder from before re-evaluations", opens_version_before_re_evaluations},
+    {"opens a folder from before finetunings of each design", opens_version_before_bodies},
     {"checks the names of atlases", names_of_atlases},
     {"reports contradictions", reports_what_contradicts_itself},
 };
