@@ -65,6 +65,8 @@ void run_train_start(struct ctl *ctl)
     fail(STATUS_USAGE, "\"%s\" is not pretrain or finetune", kind);
   json_t *request = keep(json_pack("{s:s}", "kind", kind));
   fill_designs(ctl, finetune, request);
+  if (option_is_set(ctl, "each"))
+    json_object_set_new(request, "each", json_true());
   fill_schedule(ctl, request, "schedule");
   fill_tasks(ctl, request);
   request_fill(ctl, request);

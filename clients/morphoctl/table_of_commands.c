@@ -158,6 +158,14 @@ static const struct option_spec train_start_options[] = {
      "finetune: the designs of an evaluation that has succeeded, or the newest population of a "
      "campaign, best first."},
     {"best", 0, "N", "Only the N best of the population (default: all)."},
+    {"each", 0, NULL,
+     "finetune: each design learns alone, from the same controller, and is scored before and after "
+     "(train each)."},
+    {"keep", 0, "none|all",
+     "With --each: which of the controllers the server stores, as NAME-POSITION (default: none).",
+     "keep"},
+    {"keep-best", 0, "N", "With --each: store only the controllers of the N best scores.", "best",
+     FIELD_WHOLE},
     {"schedule", 0, "NAME",
      "Learning rate: one-cosine (default), finetune-cosine (default of finetune), paper-pretrain, "
      "paper-finetune, paper-simultaneous; or restarts, cosine or constant, with the options "
@@ -201,6 +209,8 @@ static const struct option_spec train_export_options[] = {
     {"validations", 0, "FILE",
      "The validations as CSV; -: standard output. Without --output, no controller."},
     {NULL}};
+static const struct option_spec train_each_options[] = {
+    {"csv", 0, NULL, "Print the designs as CSV."}, {NULL}};
 static const struct option_spec train_prune_options[] = {
     {"step", 0, "N", "Only the checkpoint of this step."}, {NULL}};
 static const struct option_spec train_compare_options[] = {
@@ -487,6 +497,12 @@ const struct command commands[] = {
      "Checkpoints stay: train export fetches their controllers."},
     {"train export", "ID", "Fetch a training's controller, final or so far, and its curves.",
      run_train_export, NULL, train_export_options},
+    {"train each", "ID", "Show the designs that a training finetuned alone.", run_train_each,
+     "For a training of train start finetune --each: the score of each design with the controller "
+     "that it started from, and with the controller that it learned; and how well the first "
+     "predicts the second (Kendall's tau-b), with 95 % confidence intervals. Lower scores are "
+     "better.",
+     train_each_options},
     {"train prune", "ID...", "Delete checkpoints that are not needed.", run_job_prune,
      "For a finished training all of them, because its result is a separate controller; otherwise "
      "all but the newest, which is needed to resume. A checkpoint takes 12.4 MB. Deleted "

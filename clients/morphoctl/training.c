@@ -127,6 +127,8 @@ static void print(struct live *live)
       {"batch", "{settings.batch:,} robots, seed {settings.seed}"},
       {"designs", "[{settings.n_designs:,}[ of evaluation {settings.population.evaluation}"
                   "| of campaign {settings.population.campaign}]]"},
+      {"each", "[{settings.each=true}learns alone; controllers kept: [the best {settings.best}"
+               "|{settings.keep}]; {progress.bodies_done:,} of {progress.bodies:,} done]"},
       {"worlds", "[{settings.environments}|{settings.environments.count} of the request"
                  "|{settings.tasks:#} tasks in random terrains]"},
       {"varies", VARY_WORDS("settings.vary.")},
@@ -260,7 +262,9 @@ const struct live_kind training_kind = {
     .noun = "training",
     .command = "train",
     .accepted = "training {id} is accepted: {settings.steps:,} step{settings.steps:s} of "
-                "{settings.batch:,} robot{settings.batch:s}",
+                "{settings.batch:,} robot{settings.batch:s}"
+                "[{settings.each=true} for each of {settings.n_designs:,} designs; controllers "
+                "kept: [the best {settings.best}|{settings.keep}]]",
     .ask_s = ASK_S,
     .load = load,
     .print = print,

@@ -67,19 +67,21 @@ static void check_finetune(struct mo_json *json, const struct mo_parsed_training
                      mo_learning_preset_words[parsed->preset]);
 }
 
-/* Each design is its own validation set, which is scored before its first and after its last step.
- * Names get the position of the design. */
+/* Each design is its own validation set, which is scored before its first and after its last step;
+ * a request may repeat the settings of a reply, which say so. Names get the position of the
+ * design. */
 static void check_each(struct mo_json *json, struct mo_parsed_training *parsed)
 {
   struct mo_training_record *record = &parsed->request.record;
   const bool keeps = record->keep == MO_KEEP_ALL || record->keep_best > 0;
   if (record->keep >= 0 && record->keep_best > 0)
     mo_json_fault_at(json, 0, "/best", "cannot be combined with keep; give only one of them");
-  if (record->validate_every_steps != NOT_GIVEN)
+  if (record->validate_every_steps != NOT_GIVEN &&
+      record->validate_every_steps != record->settings.n_steps)
     mo_json_fault_at(json, 0, "/validation/every_steps",
                      "must be left out, because each design is scored before its first and after "
                      "its last step");
-  if (record->settings.held_out_designs != NOT_GIVEN)
+  if (record->settings.held_out_designs != NOT_GIVEN && record->settings.held_out_designs != 1)
     mo_json_fault_at(json, 0, "/validation/designs",
                      "must be left out, because each design is scored alone");
   if (keeps && strlen(record->name) > EACH_NAME_MAX)

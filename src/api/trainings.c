@@ -55,11 +55,12 @@ static void write_settings(struct mo_text *text, const struct mo_training_status
   write_worlds(text, record, tasks);
   mo_member_count_if(text, "n_designs", record->settings.kind == MO_TRAINING_FINETUNE,
                      record->n_designs);
-  mo_text_member_bool(text, "each", record->each);
-  mo_text_member(text, "keep",
-                 !record->each || record->keep_best > 0 ? NULL
-                                                        : mo_word(mo_keep_words, record->keep));
-  mo_member_count_if(text, "best", record->keep_best > 0, record->keep_best);
+  if (record->each) {
+    mo_text_member_bool(text, "each", true);
+    mo_text_member(text, "keep",
+                   record->keep_best > 0 ? NULL : mo_word(mo_keep_words, record->keep));
+    mo_member_count_if(text, "best", record->keep_best > 0, record->keep_best);
+  }
   if (record->population > 0)
     mo_text_format(text, ",\"population\":{\"%s\":\"%lld\"}}", mo_job_kind_name(population_kind),
                    (long long)record->population);
@@ -79,8 +80,10 @@ static void write_progress(struct mo_text *text, const struct mo_training_status
   bool runs = live->phase != MO_PHASE_IDLE;
   mo_text_format(text, ",\"progress\":{\"step\":%u,\"steps\":%u", step_of(status, live),
                  status->job.steps_total);
-  mo_member_count_if(text, "bodies_done", status->record.each, status->bodies_done);
-  mo_member_count_if(text, "bodies", status->record.each, status->record.n_designs);
+  if (status->record.each) {
+    mo_text_member_count(text, "bodies_done", status->bodies_done);
+    mo_text_member_count(text, "bodies", status->record.n_designs);
+  }
   mo_text_member_number(text, "mean_loss", last->mean_loss);
   mo_text_member_number(text, "gradient_norm", last->gradient_norm);
   mo_text_member_number(text, "rate", last->rate);

@@ -129,6 +129,24 @@ def test_finetuning(ctl):
     assert status == 6 and "/controller: " in err and "/batch: " in err, err
 
 
+def test_finetuning_each_design(ctl):
+    tiny = TINY.replace("--validate-every 3 --validation-designs 3 ", "")
+    status, out, err = ctl(f"train start finetune --random 3 --each --keep-best 2 {tiny}")
+    assert status == 0, (out, err)
+    job = out.split()[0]
+    assert ctl(f"train watch {job}")[0] == 0
+    shown = ctl(f"train show {job}")[1]
+    assert "controllers kept: the best 2; 3 of 3 done" in shown, shown
+    status, out, err = ctl(f"train each {job}")
+    assert status == 0 and "3 of 3, 3 with both scores" in out, (out, err)
+    assert out.count(f"training-{job}-") == 2, out
+    value = json.loads(ctl(f"train each {job} --json")[1])
+    assert len(value["items"]) == 3 and value["summary"]["compared"] == 3
+    lines = ctl(f"train each {job} --csv")[1].splitlines()
+    assert len(lines) == 4 and lines[0].startswith("position,id,robot,"), lines
+    assert ctl("train start pretrain --each --keep all")[0] == 6
+
+
 def test_training_pause_resume_cancel(ctl):
     job = ctl("train start pretrain --steps 100000 --batch 2 --physics n_steps=20 "
               "--validate-every 0")[1].strip()

@@ -594,6 +594,20 @@ def test_a_training_and_its_controller(m, service, tmp_path):
     assert m.controller().content == BOOTSTRAP.read_bytes()
 
 
+def test_finetuning_each_body(m, service):
+    bodies = [DESIGN, [[0, 0, 0], [1, 0, 0]]]
+    training = m.finetune(bodies, each=True, best=1, steps=2, batch=2, physics=SHORT,
+                          validation={"environments": 2}).wait()
+    page = service.get(f"/v1/trainings/{training.id}/each")
+    table = training.each()
+    assert table["finetuned"].tolist() == [row["finetuned"] for row in page["items"]]
+    assert table.attrs == page["summary"] and table.attrs["compared"] == 2
+    names = [row["controller"]["name"] for row in page["items"]]
+    assert len([name for name in names if name is not None]) == 1
+    with pytest.raises(morphod.MorphodError, match="controller per design"):
+        training.controller()
+
+
 def test_objectives(m):
     settings = {"environments": WORLD, "physics": SHORT}
     vectors = np.random.default_rng(3).random((4, 144))

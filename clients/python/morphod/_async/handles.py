@@ -58,6 +58,16 @@ class AsyncTraining(AsyncJob):
         path = f"/v1/trainings/{self.id}/validations"
         return frame([row async for row in self._connection.pages(path)])
 
+    async def each(self) -> pd.DataFrame:
+        """Returns a table of the bodies that a finetuning with `each` has taught alone: their
+        scores before (`zero_shot`) and after (`finetuned`), and their controllers. Its `attrs` have
+        the summary: Kendall's tau between the two scores and the mean gain, with intervals."""
+        path = f"/v1/trainings/{self.id}/each"
+        rows = [row async for row in self._connection.pages(path)]
+        table = frame(rows)
+        table.attrs |= (await self._connection.json(Request.get(path, limit=1)))["summary"]
+        return table
+
     async def controller(self, step: int | None = None) -> Controller:
         """Returns the result, or while it learns the controller of the newest checkpoint, or the
         controller of the checkpoint at `step`."""

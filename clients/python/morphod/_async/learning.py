@@ -42,9 +42,18 @@ class Learning:
     async def finetune(self, bodies: Iterable[BodyLike] | NDArray[Any] | None = None, *,
                        preset: Literal["workstation", "paper"] | None = None,
                        environments: Environments | None = None, name: str | None = None,
-                       label: str | None = None, **settings: Any) -> AsyncTraining:
+                       label: str | None = None, each: bool = False,
+                       keep: Literal["none", "all"] | None = None, best: int | None = None,
+                       **settings: Any) -> AsyncTraining:
         """Starts the training of a controller on bodies, or on a `population` of the service such
-        as `{"campaign": "12"}`; `environments` as in `pretrain`."""
+        as `{"campaign": "12"}`; `environments` as in `pretrain`.
+
+        With `each`, every body learns alone, from the same controller, and is scored before and
+        after: see `Training.each()`. The service then stores none of the controllers, all of them
+        (`keep="all"`), or only those of the `best` scores."""
+        settings |= _given(keep=keep, best=best)
+        if each:
+            settings["each"] = True
         if bodies is not None:
             settings["designs"] = designs_of(bodies)
         return await self._train("finetune", settings, preset=preset, environments=environments,
