@@ -121,6 +121,12 @@ def walk(service):
     call("POST", f"/v1/jobs/{service.post('/v1/campaigns', request)['id']}/cancel")
     call("GET", "/v1/events?format=json&limit=1&after=2")
     call("DELETE", f"/v1/evaluations/{evaluation}/trajectories")
+    tuning = EXAMPLES["TrainingRequest"] | {
+        "kind": "finetune", "designs": EXAMPLES["CertificateRequest"]["designs"], "each": True,
+        "best": 1, "validation": {"environments": 2}}
+    each = f"/v1/trainings/{service.post('/v1/trainings', tuning)['id']}"
+    await_end(service, each)
+    call("GET", f"{each}/each")
     call("GET", "/openapi.json")
     return calls
 
