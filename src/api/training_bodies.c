@@ -127,7 +127,7 @@ static int write_page(struct mo_api *api, struct mo_text *text,
   for (int64_t i = 0; i < n && error == MO_OK; i++)
     error = write_body(text, api->lattice, status, &rows[i]);
   mo_text_add(text, "]");
-  if (n == limit)
+  if (n > 0 && n == limit)
     mo_text_member_id(text, "next_cursor", rows[n - 1].position);
   else
     mo_text_member(text, "next_cursor", NULL);

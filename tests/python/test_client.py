@@ -597,7 +597,8 @@ def test_a_training_and_its_controller(m, service, tmp_path):
 def test_finetuning_each_body(m, service):
     bodies = [DESIGN, [[0, 0, 0], [1, 0, 0]]]
     training = m.finetune(bodies, each=True, best=1, steps=2, batch=2, physics=SHORT,
-                          validation={"environments": 2}).wait()
+                          validation={"environments": 2})
+    training.wait()
     page = service.get(f"/v1/trainings/{training.id}/each")
     table = training.each()
     assert table["finetuned"].tolist() == [row["finetuned"] for row in page["items"]]
