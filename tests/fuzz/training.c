@@ -28,6 +28,11 @@ static void check_accepted(const struct mo_training_request *request)
   FUZZ_PROMISE((record->n_environments > 0) == (request->environments != NULL));
   FUZZ_PROMISE(request->environments == NULL || record->environment_set[0] == '\0');
   FUZZ_PROMISE(!record->draws_worlds || request->environments != NULL);
+  FUZZ_PROMISE(finetune || !record->each);
+  FUZZ_PROMISE(record->each || (record->keep == MO_KEEP_NONE && record->keep_best == 0));
+  FUZZ_PROMISE(record->keep == MO_KEEP_NONE || record->keep_best == 0);
+  FUZZ_PROMISE(!record->each || (record->validate_every_steps == record->settings.n_steps &&
+                                 record->settings.held_out_designs == 1));
   for (uint32_t i = 0; i < record->n_environments; i++)
     FUZZ_PROMISE(mo_environment_check(&request->environments[i], NULL) == MO_OK);
   for (uint32_t i = 0; i < record->n_designs; i++)

@@ -31,8 +31,8 @@ async function prepare({ id, get, job }) {
     worlds = taskWords(environments) || 'photo';
   }
   return {
-    actions: [saveLink(`v1/trainings/${id}/steps?format=csv`, `training-${id}.csv`, 'Export',
-      { class: 'button' }),
+    actions: [saveLink(`v1/trainings/${id}/${job().settings.each ? 'each' : 'steps'}?format=csv`,
+      `training-${id}.csv`, 'Export', { class: 'button' }),
     copyButton(() => ({
       path: `v1/trainings/${id}`, morphoctl: `train show ${id}\ntrain watch ${id}`,
       python: `training = m.training(${id})\nprint(training.steps())\n` +
