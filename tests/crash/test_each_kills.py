@@ -2,7 +2,9 @@
 process, and however many threads it had."""
 import random
 
+import pytest
 from daemon import bodies, open_database
+from test_training import WHERE
 
 N, STEPS = 8, 12
 REQUEST = {
@@ -24,22 +26,24 @@ def result(one, job):
     return page, steps
 
 
-def test_kill_at_random_moments(daemon, soak, seed):
+@pytest.mark.parametrize("device", WHERE)
+def test_kill_at_random_moments(daemon, soak, seed, device):
     """Killed again and again, with another number of workers in every process, which lives until
     it has learned a few steps more, so that most kills are within a design. Resumed when it failed,
     as it does after three kills without a checkpoint."""
     print(f"seed {seed}")
     generator = random.Random(seed)
     n_kills = 60 if soak else 10
-    with daemon("undisturbed", workers=2) as quiet:
-        job = quiet.submit(REQUEST, "trainings")
+    request = REQUEST | {"device": device}
+    with daemon("undisturbed", workers=2, **WHERE[device]) as quiet:
+        job = quiet.submit(request, "trainings")
         quiet.succeed(job, "trainings", 600)
         expected = result(quiet, job)
         assert len(expected[0]["items"]) == N and len(expected[1]) == N * STEPS
         quiet.end()
 
-    victim = daemon("victim", workers=1).start()
-    assert victim.submit(REQUEST, "trainings") == job
+    victim = daemon("victim", workers=1, **WHERE[device]).start()
+    assert victim.submit(request, "trainings") == job
     path = f"/v1/trainings/{job}"
     kills = within = 0
     while kills < n_kills:
