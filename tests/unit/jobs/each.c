@@ -224,6 +224,34 @@ SERVICE_CASE(records_the_code_of_each, 1)
   CHECK(status.code.n == 2 && status.code.codes[1].from_step == at);
 }
 
+/* Code that takes over between two designs is alone in the lineage of the second: the job looks as
+ * if it had been killed right after the first. */
+SERVICE_CASE(begins_with_other_code, 1)
+{
+  const struct mo_bits *genotypes = bodies(31, 2);
+  const struct mo_training_lineage other = {1, {{0, "other"}}};
+  struct mo_training *training = NULL;
+  struct mo_training_body rows[2];
+  struct mo_training_request request = each_of(genotypes, 2);
+  int64_t id = submit_training(&request);
+  CHECK(succeeds(id, NULL));
+  service_close();
+  CHECK_OK(outside("DELETE FROM training_bodies WHERE position=1;"
+                   "UPDATE jobs SET state=0,finished_us=0"));
+  fake_plan.gradient_fingerprint = "other";
+  REQUIRE_OK(service_open());
+  CHECK(succeeds(id, NULL));
+  REQUIRE(mo_store_training_bodies(store, id, -1, rows, 2) == 2);
+  CHECK_OK(mo_training_create(&request.record.settings, default_weights(), genotypes[1].words, 1,
+                              &training));
+  plain_steps(&fake_plain, training, STEPS, NULL);
+  const struct mo_sha256 expected = plain_result(training, default_digits(), "other", &other);
+  mo_training_free(training);
+  CHECK(mo_sha256_equal(&expected, &rows[1].controller_sha256));
+  struct mo_training_status status = training_of(id);
+  CHECK(status.code.n == 2 && status.code.codes[1].from_step == STEPS);
+}
+
 SERVICE_CASE(refuses_too_many_steps, 1)
 {
   struct mo_training_request request = each_of(bodies(31, N), N);
@@ -237,6 +265,7 @@ static const struct check_case cases[] = {
     {"keeps the best", keeps_the_best},
     {"continues after interruptions", continues_after_interruptions},
     {"records the code of each", records_the_code_of_each},
+    {"begins a design with other code", begins_with_other_code},
     {"refuses too many steps", refuses_too_many_steps},
 };
 CHECK_MAIN(cases)
