@@ -23,6 +23,8 @@ import sys
 import tempfile
 
 SHADERS = "stage/shaders.js"
+PAGE = "export/page.js"
+IMPORT = r"^import [^;]*;$"
 TYPES = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -52,11 +54,11 @@ def without_comments(name: str, text: str) -> str:
 
 
 def inlined(page: str) -> set[str]:
-    """Returns the files that saved pages and other clients read as source, so they are not
-    minified, or only squeezed."""
+    """Returns the files that saved pages and other clients read as source, so they keep their
+    top-level names."""
     modules = re.search(r"const MODULES = \[(.*?)\]", page, re.DOTALL)
     assert modules
-    return {"export/page.js", *re.findall(r"'([^']+)'", modules[1])}
+    return {PAGE, *re.findall(r"'([^']+)'", modules[1])}
 
 
 def minify(esbuild: str, files: dict[str, bytes]) -> dict[str, bytes]:
@@ -84,17 +86,37 @@ def dense(text: str) -> str:
     return re.sub(r"`[^`]*`", without_spaces, text)
 
 
-def squeeze(esbuild: str, source: bytes) -> bytes:
-    """Removes spaces from a module, but no names. Each import and each export still begins a line,
+def minified(esbuild: str, source: str) -> str:
+    return subprocess.run([esbuild, "--minify", "--legal-comments=inline", "--charset=utf8",
+                           "--log-level=warning"], input=source, capture_output=True, check=True,
+                          encoding="utf-8").stdout.strip()
+
+
+def squeeze(esbuild: str, source: str) -> str:
+    """Minifies a module, but keeps its top-level names: without its imports and exports, it is a
+    script, whose top-level names esbuild keeps. Each import and each export still begins a line,
     because saved pages and the Python client find them there."""
-    small = subprocess.run([esbuild, "--minify-whitespace", "--minify-syntax", "--charset=utf8",
-                            "--log-level=warning"], input=source, capture_output=True,
-                           check=True).stdout.decode()
-    small = re.sub(r'import(\{[^}]*\}|\*as \w+ )from"([^"]*)";',
-                   lambda found: f"import {found[1].replace('*as', '* as')} from '{found[2]}';\n",
-                   small)
-    small = re.sub(r"(?<=[;}])export (?=const|function|class|async)", "\nexport ", small)
-    return small.replace("new Program(gl,shaders.", "new Program(gl, shaders.").encode()
+    imports = [re.sub(r"(?<=[{,])\s+|,?\s*(})\s*", r"\1", found) + "\n"
+               for found in re.findall(IMPORT, source, re.MULTILINE)]
+    script = re.sub(IMPORT, "", source, flags=re.MULTILINE)
+    script, n = re.subn(r"^export (?=const|function|class|async)", "/*!export*/", script,
+                        flags=re.MULTILINE)
+    script, n_kept = re.subn(r"\n?/\*!export\*/\n?", "\nexport ", minified(esbuild, script))
+    if n_kept != n:
+        raise SystemExit("esbuild removed comments that --legal-comments=inline keeps")
+    return "".join(imports) + script.lstrip()
+
+
+def squeeze_page(esbuild: str, page: str) -> str:
+    """Minifies export/page.js, but leaves its constants as they are, because the Python client
+    reads them there; of SCRIPT it keeps the top-level names."""
+    found = re.fullmatch(r"(.*?\nconst SCRIPT = `)(.*?)(`;\n)(.*)", page, re.DOTALL)
+    assert found
+    constants, script, end, functions = found.groups()
+    script = minified(esbuild, script)
+    if re.search(r"[`$\\]", script):
+        raise SystemExit("export/page.js: SCRIPT is minified to what a template literal escapes")
+    return constants + script + end + minified(esbuild, functions)
 
 
 def modules_of(sources: dict[str, str], name: str) -> set[str]:
@@ -128,11 +150,12 @@ def main() -> None:
     files = {name: without_comments(name, text).encode() if name.endswith((".js", ".css"))
              else text.encode() for name, text in sources.items()}
     if esbuild:
-        kept = inlined(sources["export/page.js"])
+        kept = inlined(sources[PAGE])
         files[SHADERS] = dense(files[SHADERS].decode()).encode()
         files |= minify(esbuild, {name: content for name, content in files.items()
                                   if name.endswith((".js", ".css")) and name not in kept})
-        files |= {name: squeeze(esbuild, files[name]) for name in kept - {"export/page.js"}}
+        files |= {name: (squeeze_page if name == PAGE else squeeze)(
+            esbuild, files[name].decode()).encode() for name in kept}
     page = files["index.html"].replace(b"@preload@", preload(sources).encode())
     digest = hashlib.sha256()
     for name, data in files.items():

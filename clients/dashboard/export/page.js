@@ -127,8 +127,7 @@ export async function toPage(robots, title, isRace = false, areGhosts = false) {
       track: base64(new Uint8Array(track.buffer, track.byteOffset, track.byteLength)),
     })),
   };
-  const modules = sources.map(inline).join('\n')
-    .replaceAll('new Program(gl, shaders.', 'new Program(gl, ');
+  const modules = sources.map(inline).join('\n');
   const escaped = title.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
   const html = '<!doctype html><html lang="en"><meta charset="utf-8">' +
     '<meta name="viewport" content="width=device-width">' +

@@ -12,7 +12,10 @@ import {
   groundOf, heightAt, lookAt, multiply, normalize, orthographic, project, translated, unproject,
 } from './math.js';
 import { centerOfMass, release, upload } from './robot.js';
-import * as shaders from './shaders.js';
+import {
+  CONTACT_SHADERS, DEPTH_SHADERS, LAMP_SHADERS, SKIN_SHADERS, SPRING_SHADERS, TERRAIN_SHADERS,
+  TRAIL_SHADERS,
+} from './shaders.js';
 
 /** Cells of the ground's mesh along each side, and the same for small views. */
 const GRID = 160;
@@ -174,13 +177,13 @@ export class Stage {
   #build() {
     const { gl } = this;
     this.programs = {
-      terrain: new Program(gl, shaders.TERRAIN_SHADERS).prepare(),
-      skin: new Program(gl, shaders.SKIN_SHADERS).prepare(),
-      depth: new Program(gl, shaders.DEPTH_SHADERS).prepare(),
-      springs: new Program(gl, shaders.SPRING_SHADERS),
-      trail: new Program(gl, shaders.TRAIL_SHADERS).prepare(),
-      contacts: new Program(gl, shaders.CONTACT_SHADERS),
-      lamp: new Program(gl, shaders.LAMP_SHADERS).prepare(),
+      terrain: new Program(gl, TERRAIN_SHADERS).prepare(),
+      skin: new Program(gl, SKIN_SHADERS).prepare(),
+      depth: new Program(gl, DEPTH_SHADERS).prepare(),
+      springs: new Program(gl, SPRING_SHADERS),
+      trail: new Program(gl, TRAIL_SHADERS).prepare(),
+      contacts: new Program(gl, CONTACT_SHADERS),
+      lamp: new Program(gl, LAMP_SHADERS).prepare(),
     };
     gl.cullFace(gl.FRONT); // the corners of faces are in this order
     this.ground = groundMesh(gl, GRID);

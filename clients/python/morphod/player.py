@@ -54,7 +54,7 @@ def player_of(index: str, scene: Scene, title: str) -> Generator[str | Player, s
     for name in names:
         source = yield f"{assets}/{name}"
         modules.append(_inline(source))
-    script = "\n".join(modules).replace("new Program(gl, shaders.", "new Program(gl, ")
+    script = "\n".join(modules)
     script += _part(page, r"const SCRIPT = `(.*?)`;\n")
     text = html.escape(title)
     yield Player(
