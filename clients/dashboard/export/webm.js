@@ -45,7 +45,7 @@ function double(value) {
  * @param {{width: number, height: number, rate: number, codec: string}} video codec: "V_VP8",
  *   "V_VP9"
  */
-export function toWebm(frames, { width, height, rate, codec }) {
+function toWebm(frames, { width, height, rate, codec }) {
   const timeOf = (i) => Math.round((i * 1000) / rate);
   const clusters = [];
   let blocks = [];

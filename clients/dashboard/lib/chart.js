@@ -62,7 +62,7 @@ function logTicks(from, to) {
 export const column = (rows, take) => Float64Array.from(rows, (row) => take(row) ?? NaN);
 
 /** Returns the index of the last value of an ascending list that is at most `value`, or -1. */
-export function lastAtMost(list, value) {
+function lastAtMost(list, value) {
   let low = 0;
   let high = list.length;
   while (low < high) {

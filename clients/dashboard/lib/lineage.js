@@ -5,7 +5,7 @@
  */
 
 /** In a column of parents: no parent. */
-export const NO_PARENT = 0xffffffff;
+const NO_PARENT = 0xffffffff;
 
 /** Colors of operators: random, listed, inherited, mutation, crossover, and those of a study. */
 export const OPERATOR_HUES = ['--gray', '--gray', '--green', '--orange', '--blue', '--pink',

@@ -54,7 +54,7 @@ function studentProbability(t, freedom) {
 }
 
 /** Returns t with P(T ≤ t) = p, for p above one half. */
-export function studentQuantile(p, freedom) {
+function studentQuantile(p, freedom) {
   let [low, high] = [0, 1];
   while (studentProbability(high, freedom) < p && high < 1e300) high *= 2;
   for (let i = 0; i < 200; i++) {

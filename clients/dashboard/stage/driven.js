@@ -80,7 +80,7 @@ export function inFew(points, most, close = CLOSE_M) {
 
 /** Leaves out points that are closer than this to the line between the others (Ramer, Douglas and
  * Peucker). */
-export function simplified(points, close) {
+function simplified(points, close) {
   if (points.length < 3) return points;
   const [from, to] = [points[0], points.at(-1)];
   const [dx, dy] = [to[0] - from[0], to[1] - from[1]];

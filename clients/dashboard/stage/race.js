@@ -4,7 +4,7 @@ import { resultOf } from '../lib/tasks.js';
 import { centerOfMass } from './robot.js';
 
 /** A robot whose center of mass is this close to the light, in x and y, has arrived. */
-export const ARRIVAL_M = 0.1;
+const ARRIVAL_M = 0.1;
 /** A way-point counts as reached within this distance, and a jump only after this time. */
 const POINT_M = 0.2;
 const SETTLED_S = 0.4;

@@ -22,7 +22,7 @@ export function levelHead(level, i, levels) {
 }
 
 /** Returns a row of a table of levels. A line separates axes. */
-export const levelRow = (level, i, levels, cells) =>
+const levelRow = (level, i, levels, cells) =>
   h(levels[i - 1]?.axis === level.axis ? 'tr' : 'tr.first', {}, levelHead(level, i, levels), cells);
 
 export class CertifiedDesigns {
