@@ -1,10 +1,10 @@
 /* atlas.h: the atlas: all bodies of at most ten voxels, and files with the scores of all of them.
  *
- * A scope is a workspace and a largest number of voxels. Its bodies are the canonical forms of
- * those sizes that fit the workspace, each once, in a fixed order: by size, and then by id, the
- * largest first. A body's place in this order, from 0, is its position. In the workspace of 6 × 6 ×
- * 4 voxels there are 1, 2, 5, 21, 95, 530, 3168, 20313, 133961 and 899126 bodies of 1 to 10 voxels.
- * docs/atlas.md has the file format and the definitions of all queries.
+ * A scope is a workspace and a largest number of voxels. Its bodies are the canonical forms of at
+ * most that many voxels that fit the workspace, each once, in a fixed order: by size, and then by
+ * id, largest first. A body's place in this order, from 0, is its position. In the workspace of 6 ×
+ * 6 × 4 voxels there are 1, 2, 5, 21, 95, 530, 3168, 20313, 133961 and 899126 bodies of 1 to 10
+ * voxels. docs/atlas.md has the file format and the definitions of all queries.
  *
  * Forms are words of the scope's workspace (morphospace.h). Scores are mean losses: lower is
  * better. */
@@ -47,8 +47,8 @@ int mo_atlas_bodies_create(const struct mo_atlas_scope *scope, struct mo_atlas_b
 void mo_atlas_bodies_free(struct mo_atlas_bodies *bodies); /* NULL-safe */
 /* Writes the next form. MO_ERR_EXHAUSTED after the last; MO_ERR_NO_MEMORY. */
 int mo_atlas_bodies_next(struct mo_atlas_bodies *bodies, uint64_t *form);
-/* Continues at a position; that after the last body is allowed. MO_ERR_RANGE: beyond that;
- * MO_ERR_NO_MEMORY: the stream is where it was. */
+/* Moves to a position; the position after the last body is allowed. MO_ERR_RANGE: beyond that;
+ * MO_ERR_NO_MEMORY: the stream has not moved. */
 int mo_atlas_bodies_seek(struct mo_atlas_bodies *bodies, uint64_t position);
 /* Counts the bodies of 1, 2, … voxels; 0 for sizes above the scope's. Finds all of them if they
  * were not found before. MO_ERR_NO_MEMORY. */
@@ -80,14 +80,14 @@ struct mo_atlas_source {
                                              "": unknown */
 };
 
-/* Writes a file, body by body in order. Until it is complete, it is PATH.part. If the process or
- * the machine stops, a new writer of the same path continues after the last whole block, or after
- * the last body that mo_atlas_writer_save has saved, which are durable. The same source,
+/* Writes a file, body by body in order. Until the file is complete, its name is PATH.part. If the
+ * process or the machine stops, a new writer of the same path continues after the last whole block,
+ * or after the last body that mo_atlas_writer_save has saved, which are durable. The same source,
  * environments and losses give the same bytes. Not for concurrent use. */
 struct mo_atlas_writer;
 /* environments: (n). Finds all bodies of the scope first, to count them. MO_ERR_CONFLICT: PATH
- * exists, or PATH.part belongs to another atlas; MO_ERR_BUSY: another writer has it; MO_ERR_RANGE,
- * MO_ERR_INVALID, MO_ERR_LIMIT, MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY, MO_ERR_IO. */
+ * exists, or PATH.part belongs to a different atlas; MO_ERR_BUSY: another writer has it open;
+ * MO_ERR_RANGE, MO_ERR_INVALID, MO_ERR_LIMIT, MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY, MO_ERR_IO. */
 int mo_atlas_writer_create(const char *path, const struct mo_atlas_source *source,
                            const struct mo_environment *environments, uint32_t n,
                            struct mo_atlas_writer **writer, struct mo_message *message);
@@ -107,9 +107,9 @@ int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, co
  * saved of the last block: if it is torn, or MO_ERR_NO_SPACE, that is lost in the file.
  * MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: try again. MO_ERR_IO: as for mo_atlas_writer_add. */
 int mo_atlas_writer_save(struct mo_atlas_writer *writer);
-/* Completes the file durably. MO_ERR_INVALID: bodies are missing; MO_ERR_CONFLICT: PATH exists by
- * now, and was not touched; remove it and call again. Otherwise as for mo_atlas_writer_add: after
- * such an error, PATH may be the complete file, but its name may not survive a power failure. */
+/* Completes the file durably. MO_ERR_INVALID: bodies are missing; MO_ERR_CONFLICT: PATH now exists,
+ * and was not touched; remove it and call again. Otherwise as for mo_atlas_writer_add: after such
+ * an error, PATH may be the complete file, but its name may not survive a power failure. */
 int mo_atlas_writer_finish(struct mo_atlas_writer *writer, struct mo_message *message);
 
 /* A file, mapped read-only. Const after it is opened: any number of threads may use it. It must not
@@ -158,12 +158,12 @@ struct mo_atlas_neighbor {
   float score;
   enum mo_atlas_step step; /* from the body to its neighbor */
 };
-/* Writes the distinct neighbors of a body by these steps (of enum mo_atlas_step), without itself:
- * the best score first, of equal ones the lowest position. Neighbors outside the scope are left
- * out. Returns their number. */
+/* Writes the distinct neighbors that a body reaches by these steps (of enum mo_atlas_step),
+ * excluding the body itself: best score first, ties by lowest position. Neighbors outside the scope
+ * are left out. Returns their number. */
 uint32_t mo_atlas_neighbors(const struct mo_atlas *atlas, uint64_t position, unsigned steps,
                             struct mo_atlas_neighbor neighbors[MO_ATLAS_NEIGHBORS_MAX]);
-/* Finds the first of these if its score is lower than the body's: the best change.
+/* Finds the first of these neighbors if its score is lower than the body's: the best change.
  * MO_ERR_NOT_FOUND: the body is a local optimum. */
 int mo_atlas_best_step(const struct mo_atlas *atlas, uint64_t position, unsigned steps,
                        struct mo_atlas_neighbor *neighbor);
@@ -175,8 +175,8 @@ uint64_t mo_atlas_ascend(const struct mo_atlas *atlas, uint64_t position, unsign
 
 /* ---- ranks ---- */
 
-/* All positions sorted by score, of equal ones the lowest position first; over all sizes and for
- * each size. In memory, 8 bytes per body. Const after it is made; does not outlive the atlas. */
+/* All positions sorted by score, ties by lowest position, over all sizes and for each size. In
+ * memory, 8 bytes per body. Const after it is made; does not outlive the atlas. */
 struct mo_atlas_index;
 int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **index);
 /* The same by a measure of the file, the lowest first, or by its negative value, so that the
@@ -190,16 +190,16 @@ void mo_atlas_index_free(struct mo_atlas_index *index); /* NULL-safe */
 /* In the functions below, n_voxels 0 stands for all sizes. */
 
 struct mo_atlas_rank {
-  uint64_t better, equal, worse; /* bodies with lower, equal (others) and higher scores */
-  double percentile; /* of the others, how many are worse, and half of the equal ones, in percent;
+  uint64_t better, equal, worse; /* bodies with lower, equal (excluding itself) and higher scores */
+  double percentile; /* percentage of the other bodies that are worse, with equal ones counted half;
                         100 if there are no others */
 };
 /* Ranks a body among all bodies or, with `within_size`, among those with as many voxels. Its rank
  * is `better` + 1. */
 struct mo_atlas_rank mo_atlas_rank_of(const struct mo_atlas_index *index, uint64_t position,
                                       bool within_size);
-/* Returns the position of the body with i better ones before it, i below the number of bodies. 0:
- * the optimum. */
+/* Returns the position of the body at place i of the ranking, i below the number of bodies. 0: the
+ * optimum. */
 uint64_t mo_atlas_nth(const struct mo_atlas_index *index, uint32_t n_voxels, uint64_t i);
 /* Writes the best bodies. Returns their number: `max`, or as many as there are. */
 uint64_t mo_atlas_best(const struct mo_atlas_index *index, uint32_t n_voxels, uint64_t max,
@@ -229,7 +229,8 @@ void mo_atlas_basins_free(struct mo_atlas_basins *basins);      /* NULL-safe */
 uint64_t mo_atlas_optima(const struct mo_atlas_basins *basins); /* local optima in all */
 /* Returns the local optimum that a body's ascent ends at. */
 uint64_t mo_atlas_optimum_of(const struct mo_atlas_basins *basins, uint64_t position);
-/* Returns the number of bodies whose ascent ends at this one, with itself; 0: no local optimum. */
+/* Returns the number of bodies whose ascent ends at this one, including itself; 0: no local
+ * optimum. */
 uint64_t mo_atlas_basin_of(const struct mo_atlas_basins *basins, uint64_t position);
 
 #ifdef __cplusplus

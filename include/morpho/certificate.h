@@ -2,11 +2,11 @@
  * and the constants of the physics.
  *
  * A certificate scores a list of designs in *trials*. The first trial is the base: the designs in
- * the environments and with the physics that were asked for. Each of the others changes one thing,
- * which is its axis, by a level: a finer step, another friction, fresh worlds. The figures follow
- * from the losses of all trials: per design its score at each level and the change from the base;
- * per level Kendall's tau-b between the scores of the designs there and at the base, and the regret
- * of choosing the top k by the base; and a verdict in words. docs/trust.md defines them.
+ * the environments and with the physics that were requested. Each other trial changes one thing,
+ * its axis, by a level: a finer step, another friction, fresh worlds. The figures follow from the
+ * losses of all trials: per design its score at each level and the change from the base; per level
+ * Kendall's tau-b between the scores of the designs there and at the base, and the regret of
+ * choosing the top k by the base; and a verdict in words. docs/trust.md defines them.
  *
  * All of this is a function of settings and losses: equal inputs give equal bits. */
 #ifndef MORPHO_CERTIFICATE_H
@@ -31,7 +31,7 @@ extern "C" {
 #define MO_CERTIFICATE_CHANCE       1e-4 /* largest relative change of the axis `chance` */
 
 /* In a fixed order: new axes are appended. The levels of an axis are in brackets; an axis without
- * any is one trial, the level of which is NaN. */
+ * levels is one trial, with the level NaN. */
 enum mo_axis {
   MO_AXIS_BASE = 0,
   MO_AXIS_PRECISION, /* float64 [64] */
@@ -56,7 +56,7 @@ extern const char *const mo_axis_words[]; /* "base", "precision", "step", "held_
 
 struct mo_certificate_settings {
   uint64_t seed;     /* 1 */
-  uint32_t axes;     /* bits 1 << enum mo_axis; the base is always one of them */
+  uint32_t axes;     /* bits 1 << enum mo_axis; the base is always included */
   uint32_t held_out; /* 256: worlds, 2 … MO_CERTIFICATE_HELD_OUT_MAX */
   uint32_t worlds;   /* 64: 2 … MO_CERTIFICATE_WORLDS_MAX */
   uint32_t chance;   /* 16: 2 … MO_CERTIFICATE_CHANCE_MAX */
@@ -71,16 +71,16 @@ struct mo_certificate_settings mo_certificate_defaults(void);
 int mo_certificate_check(const struct mo_certificate_settings *settings,
                          struct mo_message *message);
 
-/* One level of one axis. A level with more worlds than a job may have in a list is still one trial:
- * its caller scores it in parts. */
+/* One level of one axis. A level with more worlds than a job may list is still one trial: the
+ * caller scores it in parts. */
 struct mo_trial {
   enum mo_axis axis;
   double level; /* NaN: the axis has none */
   enum mo_precision precision;
   struct mo_physics physics;
   uint32_t n_environments;
-  bool is_paired; /* world k is the base's world k % n of the base, apart from the level */
-  bool measures;  /* peak_strain and inverted_voxels of each rollout are wanted: of the base */
+  bool is_paired; /* world k is the base's world k % (its number of worlds), apart from the level */
+  bool measures;  /* peak_strain and inverted_voxels of each rollout are requested: for the base */
 };
 /* What the trials are made of. */
 struct mo_certificate_base {
@@ -89,7 +89,8 @@ struct mo_certificate_base {
   enum mo_precision precision;
   const struct mo_environment *environments; /* (n_environments) borrowed */
   uint32_t n_environments;                   /* at least 1 */
-  const char *set; /* the word of mo_set_words that the environments are, unchanged; or NULL */
+  const char *set; /* the word of mo_set_words if the environments are that set, unchanged; or
+                      NULL */
 };
 /* The trials of a certificate, in order of axes and levels; the base is the first. Leaves out axes
  * and levels that do not apply (mo_certificate_omits, mo_certificate_note). The settings have been
@@ -105,19 +106,19 @@ int mo_certificate_trials(const struct mo_certificate_settings *settings,
  *                      to 2.0 m away, those of the test set 1.5 and 2.0 m
  *   "morpho-12-TASK"   the first of "morpho-12-TASK-held-out", which has 64
  *   a list             mo_held_out_tasks, with the tasks, the damage and the factors of the list in
- *                      turn. Only if each of its worlds could be one of a training: rough 8 × 8
+ *                      turn. Only if each of its worlds could occur in training: rough 8 × 8
  *                      heights, the lowest of which is MO_TERRAIN_FLOOR_M, and a fixed light, if it
  *                      has one, 0.4 to 2.0 m from the center
  */
 int mo_certificate_environments(const struct mo_certificate_settings *settings,
                                 const struct mo_certificate_base *base,
                                 const struct mo_trial *trial, struct mo_environment *environments);
-/* Returns why an axis has no trial, as a sentence for the reply; NULL: it has one, or was not asked
- * for. */
+/* Returns why an axis has no trial, as a sentence for the reply; NULL: it has one, or was not
+ * requested. */
 const char *mo_certificate_omits(const struct mo_certificate_settings *settings,
                                  const struct mo_certificate_base *base, enum mo_axis axis);
-/* Writes what a reader of the axis must know, as sentences for the reply: fewer worlds than were
- * asked for, levels that are left out, levels with which the springs of some bodies are unstable,
+/* Writes what a reader of the axis must know, as sentences for the reply: fewer worlds than
+ * requested, levels that are left out, levels with which the springs of some bodies are unstable,
  * and worlds that differ in kind from the base's. Returns false if there is nothing. */
 bool mo_certificate_note(const struct mo_certificate_settings *settings,
                          const struct mo_certificate_base *base, enum mo_axis axis,
@@ -136,73 +137,74 @@ struct mo_interval {
 struct mo_trial_score {
   double score; /* mean loss over the worlds */
   /* Of the mean over all worlds of this kind, by Student's t. Unknown for a single world. Losses
-   * are skewed, so that intervals of ten worlds contain the mean in 90 to 95 of 100 cases. Where a
+   * are skewed, so intervals over ten worlds contain the mean in 90 to 95 of 100 cases. Where a
    * trial has each world of the base several times (`worlds`), the base's worlds are the
    * independent units: the variance is that of the sums over each (CR1, Cameron & Miller 2015).
-   * `chance`: the interval in which the score in one more copy of the worlds lies (a prediction
-   * interval), because the question is how far luck moves a score. */
+   * `chance`: a prediction interval for the score in one more copy of the worlds, because the
+   * question is how far luck moves a score. */
   struct mo_interval interval;
   /* From the base's score. Paired: the mean of the differences between the loss in a world and the
    * base's in the same world, with an interval like that of the score. Otherwise the difference of
-   * the means, with Welch's interval, degrees of freedom rounded down. The base: unknown. */
+   * the means, with Welch's interval, degrees of freedom rounded down. For the base: unknown. */
   double change;
   struct mo_interval of_change;
   uint32_t diverged; /* rollouts */
   uint32_t rank;     /* 1 … n among the designs; diverged ones are last; equal scores share one */
 };
 /* All designs at one level. Designs with a divergence, here or at the base, do not count in tau. On
- * the axis `chance`, tau, regret and top_score are means over the copies of the worlds: those of
- * one copy, not of their mean score, which has less luck in it than a score of the base. */
+ * the axis `chance`, tau, regret and top_score are means over the copies of the worlds: each
+ * describes a single copy, not the mean score over the copies, which depends less on luck than a
+ * score of the base. */
 struct mo_trial_list {
   double mean_score; /* over designs without a divergence */
   uint32_t n_diverged_designs;
   double tau; /* Kendall's tau-b between the scores here and at the base; NaN: at the base, for
                  fewer than two designs, or if all scores are equal */
-  /* Of tau in all designs of this kind. Unknown for fewer than MO_TAU_DESIGNS_MIN designs. From the
-   * jackknife variance of tau over designs, which is consistent (Arvesen 1969), comes the number of
+  /* Of tau over all designs of this kind. Unknown for fewer than MO_TAU_DESIGNS_MIN designs. The
+   * jackknife variance of tau over designs, which is consistent (Arvesen 1969), gives the number of
    * independent pairs that would have the same variance, (1 − tau²) / variance, at least half the
    * number of designs (Hoeffding 1948) and at most that of all pairs; Wilson's score interval
    * (1927) with this number stays within [−1, 1]. If all pairs agree, or all disagree, the variance
-   * is that with one exception. */
+   * used is the one with a single exception. */
   struct mo_interval of_tau;
-  /* Of the base's top designs (mo_certificate_top): their mean score here, and by how much it is
-   * above that of the best ones here, as many. NaN: one of them diverged here. The base's regret is
-   * NaN. */
+  /* Of the base's top designs (mo_certificate_top): their mean score here, and how far it is above
+   * the mean score of equally many designs that are the best here. NaN: one of them diverged here.
+   * The base's regret is NaN. */
   double top_score, regret;
 };
 #define MO_TAU_DESIGNS_MIN 4
 /* losses: (n_designs, trials[t].n_environments) per trial t; +infinity: diverged. The base is the
- * first trial; a certificate that is not complete has figures of its first trials. scores:
- * (n_trials, n_designs); lists: (n_trials); both filled in. MO_ERR_NO_MEMORY. */
+ * first trial; an incomplete certificate has the figures of its first trials. scores: (n_trials,
+ * n_designs); lists: (n_trials); both filled in. MO_ERR_NO_MEMORY. */
 int mo_certificate_figures(const struct mo_certificate_settings *settings,
                            const struct mo_trial *trials, uint32_t n_trials,
                            const float *const *losses, uint32_t n_designs,
                            struct mo_trial_score *scores, struct mo_trial_list *lists);
-/* Returns the number of designs that top_score and regret are about; fewer, if fewer have no
- * divergence at the base. */
+/* Returns the number of designs that top_score and regret cover: fewer than requested if not enough
+ * are free of divergence at the base. */
 uint32_t mo_certificate_top(const struct mo_certificate_settings *settings, uint32_t n_designs);
 
 /* ---- verdicts ----
  *
- * Sentences by rules; equal figures have equal sentences. Numbers are rounded to two digits. An
+ * Sentences by rules; equal figures give equal sentences. Numbers are rounded to two digits. An
  * axis that has no trial has no sentence. */
 
 #define MO_VERDICT_MAX 1024
-/* Losses: 1 is that of standing still. A score is worse at a level if it is higher by this much or
- * more, and the interval of its change, if known, is above 0. */
+/* A body that stands still has a loss of 1. A score is worse at a level if it is higher by this
+ * much or more, and the interval of its change, if known, is above 0. */
 #define MO_VERDICT_CHANGE 0.05
-#define MO_VERDICT_AXES   2 /* at most so many axes of the worst change are named */
+#define MO_VERDICT_AXES   2 /* at most this many axes, those with the worst change, are named */
 #define MO_VERDICT_RANKS                                                                           \
   0.1 /* a rank that moves by at most this share of the designs, or by 1, is                       \
-         about kept */
-#define MO_VERDICT_HOLDS  0.8 /* tau from here on: an order holds */
-#define MO_VERDICT_PARTLY 0.5 /* tau from here on: it holds in part */
+         roughly kept */
+#define MO_VERDICT_HOLDS  0.8 /* from this tau on, an order holds */
+#define MO_VERDICT_PARTLY 0.5 /* from this tau on, it holds in part */
 
 /* About a design: flags; its rank and score on the finest steps, or in float64; how far luck moves
  * its score, and over which ranks; with which constants it is worse, the worst first; its score in
- * fresh worlds. As in "Keeps its rank on finer steps (0.0086 to 0.0088). Its score goes from 0.0086
- * to 0.34 when friction is 0.5 times as large." flags: of mo_measures_flags, over its rollouts at
- * the base. */
+ * fresh worlds. Example: "Keeps its rank on finer steps (0.0086 to 0.0088). Its score goes from
+ * 0.0086 to 0.34 when friction is 0.5 times as large." flags: of mo_measures_flags, over its
+ * rollouts at the base. */
 void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
                             const struct mo_trial_score *scores, uint32_t n_designs,
                             uint32_t design, uint32_t flags, char text[MO_VERDICT_MAX]);

@@ -2,9 +2,9 @@
  *
  * A back end runs blocks: one body in up to MO_BLOCK_LANES environments with one controller. Any
  * thread may submit blocks. Blocks finish in any order; the result of a block depends only on its
- * inputs. An urgent block starts at once: a worker that is inside another block suspends that block
- * at its next pause point (a few steps), runs the urgent one, and resumes. Other blocks share the
- * workers' time by the weights of their submitters. */
+ * inputs. An urgent block starts at once: a worker that is running another block suspends that
+ * block at its next pause point (a few steps), runs the urgent one, and resumes. Other blocks share
+ * the workers' time by the weights of their submitters. */
 #ifndef MORPHO_COMPUTE_H
 #define MORPHO_COMPUTE_H
 
@@ -34,7 +34,7 @@ enum mo_urgency { MO_BATCH = 0, MO_INTERACTIVE = 1, MO_IMMEDIATE = 2 };
 enum mo_back_end { MO_ON_CPU = 0, MO_ON_DEVICE = 1 };
 
 struct mo_compute_config {
-  uint32_t n_workers; /* 0 = one per processor of the affinity mask, or fewer under a CPU quota */
+  uint32_t n_workers; /* 0 = one per CPU in the affinity mask, or fewer under a CPU quota */
   enum mo_isa isa;    /* from mo_isa_best(), or lower for tests */
   int nice; /* added to the process's niceness, 0 … 19, so that the service's threads stay
                responsive */
@@ -81,7 +81,7 @@ struct mo_compute_stats {
   uint32_t n_workers, n_busy;
   uint64_t blocks_done;                                     /* scoring and gradient blocks */
   uint64_t rollouts_done, rollout_steps, rollouts_diverged; /* only of scoring blocks */
-  uint64_t blocks_preempted; /* urgent blocks that ran inside another */
+  uint64_t blocks_preempted; /* urgent blocks that interrupted another block */
   uint64_t gradient_robots_done, gradient_robots_diverged, gradient_robots_zeroed;
   uint64_t queued_batch, queued_interactive;
   double busy_s;           /* worker seconds spent inside blocks */
@@ -101,9 +101,9 @@ struct mo_rate {
   uint64_t rollouts;     /* or robots, of gradients */
   uint64_t steps;        /* sum over rollouts */
   uint64_t spring_steps; /* sum over rollouts: steps × springs */
-  double busy_s;         /* processor or device seconds */
+  double busy_s;         /* CPU or device seconds */
 };
-enum { MO_RATES_MAX = 64 }; /* further kinds of work replace the one that is oldest in use */
+enum { MO_RATES_MAX = 64 }; /* further kinds of work replace the least recently used kind */
 
 /* Creates the CPU back end. MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED (isa). */
 int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_compute **compute);
@@ -144,7 +144,7 @@ void mo_compute_share_set_weight(struct mo_compute_share *share,
                                  double weight); /* takes effect at once */
 
 struct mo_compute_share_stats {
-  double busy_s;    /* processor time in its blocks, without urgent blocks that interrupted them */
+  double busy_s;    /* CPU time in its blocks, without urgent blocks that interrupted them */
   double urgent_s;  /* part of busy_s spent in the share's own urgent blocks, which is charged to no
                        share */
   double device_s;  /* seconds of devices in its blocks and gradients */
@@ -256,15 +256,15 @@ struct mo_remote_result {
   int status;                 /* MO_OK, or an error for all blocks */
   const double *losses;       /* (n_rows) in the order of blocks and environments; with MO_OK */
   const uint32_t *diverged;   /* (n_rows) steps of divergence; 0: none */
-  int64_t origin;             /* who computed it, in the taker's own numbering; > 0 */
-  double busy_s;              /* processor time, charged to the share */
+  int64_t origin;             /* the machine that computed it, as numbered by the taker; > 0 */
+  double busy_s;              /* CPU time, charged to the share */
   const double *d_parameters; /* of a shard: (n_parameters) its sum */
   struct mo_gradient_counts counts;
-  const double (*measures)[MO_MEASURES]; /* (n_rows) of blocks that measure: all of them */
+  const double (*measures)[MO_MEASURES]; /* (n_rows) all measures, for blocks that measure */
 };
 /* Takes at least one block, and more while their rollout steps stay within max_steps; or a shard,
- * whatever its size. Does not wait. Returns NULL if there is no suitable block, or out of memory.
- * Put back or deliver each `taken` exactly once, before mo_compute_free. */
+ * whatever its size. Does not wait. Returns NULL if there is no suitable block, or if out of
+ * memory. Put back or deliver each `taken` exactly once, before mo_compute_free. */
 struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end back_end,
                                  uint64_t max_steps);
 /* Puts the blocks back at the front of their share, charges nothing, and frees `taken`. A shard
@@ -275,7 +275,7 @@ void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *taken);
  * permanently. After a shard for devices, the workers compute its entire gradient. */
 void mo_compute_keep(struct mo_compute *compute, struct mo_taken *taken);
 /* Splits off the second half of the blocks as another `taken`. Returns NULL if it has only one
- * block, or out of memory. */
+ * block, or if out of memory. */
 struct mo_taken *mo_compute_split(struct mo_compute *compute, struct mo_taken *taken);
 /* Returns whether every block is cancelled. */
 bool mo_taken_is_cancelled(const struct mo_taken *taken);
@@ -298,8 +298,8 @@ void mo_compute_watch_remote(struct mo_compute *compute, void (*arrived)(void *c
                              void *context);
 
 /* Opens a queue for devices that exist only on other machines: remote takers compute all of its
- * blocks, which wait until a taker connects. Call it once, instead of mo_compute_add_devices and as
- * early. MO_ERR_CONFLICT: devices exist already; MO_ERR_NO_MEMORY. */
+ * blocks, which wait until a taker connects. Call it once, instead of mo_compute_add_devices, and
+ * equally early. MO_ERR_CONFLICT: devices already exist; MO_ERR_NO_MEMORY. */
 int mo_compute_expect_devices(struct mo_compute *compute);
 bool mo_compute_expects_devices(const struct mo_compute *compute);
 /* Sets the class of expected devices permanently: its fingerprints of scores and gradients. Before
@@ -331,7 +331,7 @@ struct mo_device_status {
   enum mo_device_state state;
   char error[256]; /* why it was lost */
   bool is_busy;
-  double load;   /* share of roughly the last ten seconds in which it was busy */
+  double load;   /* share of roughly the last ten seconds that it was busy */
   double busy_s; /* since the start */
   uint64_t rollouts_done, gradient_robots_done, calls;
   uint32_t rows_at_once; /* largest number of rollouts in one call; lowered if memory runs out */
@@ -352,8 +352,8 @@ struct mo_devices_config {
  * out, because their bits differ. MO_ERR_NOT_FOUND: no such file; MO_ERR_UNSUPPORTED: not a module,
  * or a module for another version of this program; MO_ERR_EXHAUSTED: no working device;
  * MO_ERR_RANGE: no such device; MO_ERR_DEVICE: a device in `devices` cannot be opened, or its
- * capability differs from the first; MO_ERR_CONFLICT: devices were added already; MO_ERR_NO_MEMORY.
- * After an error there are no devices. */
+ * capability differs from the first; MO_ERR_CONFLICT: devices have already been added;
+ * MO_ERR_NO_MEMORY. After an error there are no devices. */
 int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_config *config,
                            struct mo_message *message);
 uint32_t mo_compute_devices(const struct mo_compute *compute);         /* including lost ones */

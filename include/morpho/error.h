@@ -22,7 +22,7 @@ enum mo_error {
   MO_ERR_FORMAT = -7,         /* bytes are not in the expected format */
   MO_ERR_LIMIT = -8,          /* larger than this build or this configuration accepts */
   MO_ERR_NOT_FOUND = -9,      /* no such thing */
-  MO_ERR_CONFLICT = -10,      /* contradicts what exists already */
+  MO_ERR_CONFLICT = -10,      /* contradicts what already exists */
   MO_ERR_IO = -11,            /* a read or write failed */
   MO_ERR_NO_SPACE = -12,      /* the disk is full */
   MO_ERR_CANCELLED = -13,     /* the caller asked to stop */

@@ -41,7 +41,7 @@ enum mo_campaign_mode {
   MO_ZERO_SHOT = 0, /* the controller is frozen; parents keep their scores */
   MO_FEW_SHOT =
       1, /* each generation starts learning from the pretrained weights; parents are scored again */
-  MO_SIMULTANEOUS = 2, /* as few-shot, but each inherits weights and optimizer */
+  MO_SIMULTANEOUS = 2, /* as few-shot, but each generation inherits weights and optimizer */
   MO_STUDY = 3         /* as zero-shot, but a client supplies the children of each generation */
 };
 extern const char
@@ -65,7 +65,7 @@ extern const struct mo_mode mo_modes[]; /* by enum mo_campaign_mode */
 /* In every scheme the best candidate survives. A diverged candidate survives only if too few others
  * exist.
  *   truncation   the best survive (paper)
- *   tournament   each further survivor is the best of tournament_size draws, with repetition,
+ *   tournament   each further survivor is the best of tournament_size draws, with replacement,
  *                from those left
  *   novelty      the N with the smallest (1 − weight) · rank by score + weight · rank by
  *                novelty survive. Novelty: mean Hamming distance to all other candidates, most
@@ -93,8 +93,8 @@ struct mo_selection {
 };
 
 /* How the losses of a design become its score. x₁ ≤ … ≤ xₙ: its losses over the n environments of
- * the campaign in ascending order. Lower is better. In every kind, a score is +infinity if a loss
- * is.
+ * the campaign in ascending order. Lower is better. For every kind, a score is +infinity if any
+ * loss is.
  *   mean         (x₁ + … + xₙ) / n, added in the order of the environments
  *   quantile     linear between order statistics: with h = 1 + level · (n − 1) and i = ⌊h⌋, it is
  *                xᵢ + (h − i) · (xᵢ₊₁ − xᵢ). Level 0 is the least loss, 0.5 the median, 1 the worst
@@ -192,7 +192,7 @@ int mo_seen_add(struct mo_seen *seen,
                 const uint64_t *genotype); /* 1: new, added; 0: already present; MO_ERR_NO_MEMORY,
                                               MO_ERR_EMPTY */
 /* Adds a genotype of any workspace, moved to the set's (a struct mo_seen): a callback for readers
- * of genotypes. MO_OK also if it is present; MO_ERR_RANGE: it does not fit. */
+ * of genotypes. MO_OK also if it is already present; MO_ERR_RANGE: it does not fit. */
 int mo_seen_take(void *seen, const struct mo_genotype *genotype);
 uint64_t mo_seen_count(const struct mo_seen *seen); /* forms added by mo_seen_add, mo_seen_take */
 
@@ -203,7 +203,7 @@ uint64_t mo_seen_count(const struct mo_seen *seen); /* forms added by mo_seen_ad
  * forms; and up to 3 MiB per thread. The set is the same for any number of threads (0 counts as 1;
  * the calling thread is one of them), which stop at the end of the call. MO_ERR_CANCELLED,
  * MO_ERR_NO_MEMORY, MO_ERR_EXHAUSTED: `set` may hold some of the forms. */
-#define MO_PRETRAINING_FORMS_VERSION 1 /* raised whenever its result changes */
+#define MO_PRETRAINING_FORMS_VERSION 1 /* incremented whenever the result changes */
 int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace workspace,
                          uint32_t n_threads, const volatile int *cancel, volatile uint64_t *done,
                          struct mo_form_set *set);
@@ -234,7 +234,7 @@ struct mo_birth {
  * number of bodies; below `population` if the morphospace is exhausted, that is, if 2^16 draws in a
  * row found nothing new. MO_ERR_DUPLICATE: two given bodies have the same form (*fault, nullable:
  * the later one). cancel nullable: MO_ERR_CANCELLED. MO_ERR_NO_MEMORY; MO_ERR_RANGE: more given
- * than the population. On error `seen` may hold some of the bodies. */
+ * bodies than the population has. On error `seen` may hold some of the bodies. */
 int mo_population_initial(const struct mo_campaign_settings *settings, struct mo_seen *seen,
                           uint64_t *genotypes, uint32_t n_given, uint32_t *n, uint32_t *fault,
                           const volatile int *cancel);
@@ -387,9 +387,9 @@ double mo_diversity(struct mo_workspace workspace, const uint64_t *genotypes, ui
 void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
                         double *distances);
 
-/* Picks m of n (m ≤ n): the best, and others at even steps over the ranking by score (diverged ones
- * only if there are not enough others). Orders them by their mean Hamming distance to each other,
- * most distinct first; ties: better score, then lower place. picks: (m) places; distances
+/* Picks m of n (m ≤ n): the best, and others at even steps through the ranking by score (diverged
+ * ones only if there are not enough others). Orders them by their mean Hamming distance to each
+ * other, most distinct first; ties: better score, then lower place. picks: (m) places; distances
  * (nullable): (m) distances of the picks, as from mo_distinctiveness. MO_ERR_NO_MEMORY;
  * MO_ERR_RANGE: m > n. */
 int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const double *scores,

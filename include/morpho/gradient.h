@@ -6,17 +6,17 @@
  *                          in its own environment, compiled for several instruction sets
  *
  * A rollout is a long chain of contacts, along which the adjoint (∂loss/∂state) can grow
- * exponentially. A bound limits it. At every backward step, from the adjoint of all masses'
- * positions and velocities,
+ * exponentially. A bound limits it. At every backward step, the adjoint of all masses' positions
+ * and velocities gives
  *   m = d0 · max(‖∂loss/∂x‖₂, 15 s⁻¹ · ‖∂loss/∂v‖₂)
- * is compared with the bound. m has no unit; d0 = distance in x, y to the light at the start + 1e-8
- * m, or, if the objective's value is in meters, the unit in its loss: 1 m or 0.1 m; 1 m for
+ * which is compared with the bound. m has no unit; d0 = distance in x, y to the light at the start
+ * + 1e-8 m, or, if the objective's value is in meters, the unit in its loss: 1 m or 0.1 m; 1 m for
  * `efficient` and for sums. If m > bound,
- * MO_ADJOINT_CLIP     scales both by bound/m; MO_ADJOINT_RESTART  resets both, as if the rollout
- * ended there: ∂/∂v = 0, and ∂/∂x is
+ *   MO_ADJOINT_CLIP     scales both by bound/m
+ *   MO_ADJOINT_RESTART  resets both, as if the rollout ended there: ∂/∂v = 0, and ∂/∂x is
  *                       restart_weight times that of the distance to the light, over d0, at the
- *                       center of mass one step earlier; of objectives in meters, that of the loss
- *                       (docs/model.md).
+ *                       center of mass one step earlier; for objectives in meters, that of the
+ *                       loss (docs/model.md)
  * A restart drops the effect of the state on later time. It keeps the effect of the parameters that
  * the backward pass has accumulated so far. With a weight of 0 the backward pass ends there. */
 #ifndef MORPHO_GRADIENT_H

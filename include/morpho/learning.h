@@ -1,8 +1,8 @@
 /* learning.h: how the controller learns: the optimizer, schedules, the stream of robots, and the
- * state of one training (paper, sections 2.4 and 3; appendix A). A training can be saved after any
- * step and resumes from there bit for bit.
+ * state of one training run (paper, sections 2.4 and 3; appendix A). A run can be saved after any
+ * step, and resumes from there bit for bit.
  *
- * The caller drives a training one step at a time:
+ * The caller drives a run one step at a time:
  *   mo_training_draw    the robots of the step: which body, which environment
  *   (their gradient: mo_compute_gradient, mo_gradient_reference, …)
  *   mo_training_apply   clip, Adam, next step
@@ -28,11 +28,11 @@ extern "C" {
 #define MO_TRAINING_STEPS_MAX   1000000
 #define MO_TRAINING_BATCH_MAX   65536
 #define MO_TRAINING_DESIGNS_MAX 10000
-/* Limit of n_steps × batch of a pretraining. The set of bodies seen, which includes the held-out
- * forms, takes 24 to 30 bytes per body: 7.5 GB at this limit. */
+/* Limit of n_steps × batch of a pretraining run. The set of bodies seen, which includes the
+ * held-out forms, takes 24 to 30 bytes per body: 7.5 GB at this limit. */
 #define MO_TRAINING_BODIES_MAX       (UINT64_C(1) << 28)
 #define MO_HELD_OUT_ENVIRONMENTS_MAX 64
-#define MO_TRAINING_ENVIRONMENTS_MAX 64 /* of a training in its own environments */
+#define MO_TRAINING_ENVIRONMENTS_MAX 64 /* of a training run in its own environments */
 #define MO_GRADIENT_NORM_LIMIT_MAX   1e6
 
 /* ---- learning rate ---- */
@@ -52,22 +52,22 @@ struct mo_schedule {
   uint32_t cycle_steps;  /* of the first cycle, ≥ 1 (restarts) */
   uint32_t cycle_growth; /* growth of the length per cycle, 1 … 1000 (restarts) */
   uint32_t warmup_steps; /* the rate grows linearly from peak/warmup to peak before the rest begins;
-                            0: none. A shorter training ends within the warm-up */
+                            0: none. A shorter run ends within the warm-up */
 };
 /* The paper's three schedules, and this program's own defaults. */
 enum mo_schedule_preset {
   MO_SCHEDULE_PAPER_PRETRAIN,     /* 1e-3 → 1e-5, cycles 10, 20, 40, …, decay 0.7 */
   MO_SCHEDULE_PAPER_FINETUNE,     /* between generations: 3.5e-4 → 3.5e-5 over one cycle of 100 */
-  MO_SCHEDULE_PAPER_SIMULTANEOUS, /* as pretraining with decay 0.65 */
+  MO_SCHEDULE_PAPER_SIMULTANEOUS, /* as for pretraining, with decay 0.65 */
   MO_SCHEDULE_ONE_COSINE,         /* 2e-3 → 1e-5, warm-up 10 steps */
   MO_SCHEDULE_FINETUNE_COSINE     /* 3e-4 → 1e-6: fully annealed at any length */
 };
 extern const struct mo_schedule mo_schedule_presets[];
 extern const char *const mo_schedule_preset_words[]; /* "paper-pretrain", …, NULL */
-/* Returns the learning rate of step `step` (from 0) of a training of n_steps, for a schedule that
- * passed mo_training_settings_check. In step s of a cycle of n steps, or s of the n steps after the
- * warm-up of one cosine, the rate is floor + (peak − floor) (1 + cos(π s/n))/2; once decay takes
- * the peak below the floor, the rate is the floor. Bit-exact on every machine. */
+/* Returns the learning rate of step `step` (from 0) of a training run of n_steps, for a schedule
+ * that passed mo_training_settings_check. In step s of a cycle of n steps, or s of the n steps
+ * after the warm-up of one cosine, the rate is floor + (peak − floor) (1 + cos(π s/n))/2; once
+ * decay takes the peak below the floor, the rate is the floor. Bit-exact on every machine. */
 double mo_schedule_rate(const struct mo_schedule *schedule, uint32_t step, uint32_t n_steps);
 
 /* ---- settings ---- */
@@ -77,7 +77,7 @@ enum mo_training_kind {
   MO_TRAINING_FINETUNE = 1  /* the given designs, in turn */
 };
 
-/* How weights follow from gradients; trainings and campaigns share this. */
+/* How weights follow from gradients; training runs and campaigns share this. */
 struct mo_learning {
   struct mo_schedule schedule;
   double beta1, beta2, epsilon;        /* Adam: 0.9, 0.999, 1e-8 */
@@ -101,8 +101,8 @@ struct mo_training_settings {
   enum mo_sensor sensor; /* for a controller with random initial weights; ignored with a parent */
   /* Validation scores these designs in these environments with the current controller. Pretraining:
    * the first mo_held_out_designs of the seed, which it never learns from. Finetuning: the first of
-   * the designs that it learns on, or all if there are fewer. The environments are new to the
-   * controller, unless the training has its own: then they are those. */
+   * the designs that it trains on, or all if there are fewer. The environments are new to the
+   * controller, unless the run has its own environments: then those are used. */
   uint32_t held_out_designs;      /* 64; ≤ MO_TRAINING_DESIGNS_MAX */
   uint32_t held_out_environments; /* 8; ≤ MO_HELD_OUT_ENVIRONMENTS_MAX */
 };
@@ -137,9 +137,9 @@ int mo_training_settings_check(const struct mo_training_settings *settings,
 /* ---- held-out sets ---- */
 
 /* Returns 1 if a form is held out, else 0. One canonical form in MO_HELD_OUT_ONE_IN is held out,
- * chosen by a hash of the form and nothing else; no pretraining draws it, for any seed. Held-out
- * bodies are therefore new to every controller, and two controllers can be compared on them. form:
- * canonical, of the default workspace (MO_DEFAULT_WORDS). */
+ * chosen by a hash of the form and nothing else; no pretraining run draws it, for any seed.
+ * Held-out bodies are therefore new to every controller, and two controllers can be compared on
+ * them. form: canonical, of the default workspace (MO_DEFAULT_WORDS). */
 #define MO_HELD_OUT_ONE_IN 16
 int mo_held_out_form(const uint64_t *form);
 
@@ -156,7 +156,7 @@ void mo_held_out_environments(uint64_t seed, uint32_t n, struct mo_environment *
 void mo_held_out_tasks(uint64_t seed, uint32_t n, const struct mo_environment *tasks,
                        uint32_t n_tasks, struct mo_environment *environments);
 
-/* ---- the state of one training ---- */
+/* ---- the state of one training run ---- */
 
 struct mo_training;
 
@@ -177,14 +177,14 @@ const struct mo_training_settings *mo_training_settings_of(const struct mo_train
 const struct mo_controller *
 mo_training_controller(const struct mo_training *training); /* current weights; borrowed */
 
-/* Gives a new training environments of its own (copied; n: 1 … MO_TRAINING_ENVIRONMENTS_MAX; each
+/* Gives a new training run its own environments (copied; n: 1 … MO_TRAINING_ENVIRONMENTS_MAX; each
  * has passed mo_environment_check), for example with tasks. Robot i of step t then has one of them,
  * all equally likely: stream (seed, TRAINING_WORLD, t, i). Checkpoints keep them. If the settings
  * vary worlds, each has passed mo_environment_check_vary, too. MO_ERR_RANGE: n;
  * MO_ERR_CONFLICT: a step has been drawn already; MO_ERR_NO_MEMORY. */
 int mo_training_set_environments(struct mo_training *training,
                                  const struct mo_environment *environments, uint32_t n);
-/* The same, but robots have drawn environments as usual, with the tasks of the given ones, and with
+/* The same, but robots get drawn environments as usual, with the tasks of the given ones, and with
  * their lights if the task moves the light. */
 int mo_training_set_tasks(struct mo_training *training, const struct mo_environment *tasks,
                           uint32_t n);
@@ -194,10 +194,10 @@ const struct mo_environment *mo_training_environments(const struct mo_training *
 
 /* Draws the robots of the current step: (batch), borrowed until the next draw or apply. Robot i of
  * step t has mo_environment_training(seed, t, i), or one of the training's own. A restored
- * pretraining first replays its stream: a non-zero `cancel` (nullable) stops that with
+ * pretraining run first replays its stream: a non-zero `cancel` (nullable) stops that with
  * MO_ERR_CANCELLED; `replayed` (nullable) counts the bodies redrawn so far, out of step × batch.
  * Drawing twice returns the same robots; after an error, the next call continues where the failed
- * call stopped. Memory: the bodies of the step (for a finetuning, of all its designs), up to 25 kB
+ * call stopped. Memory: the bodies of the step (for finetuning, of all its designs), up to 25 kB
  * each. MO_ERR_EXHAUSTED: no new bodies are left; MO_ERR_CORRUPT: the replay needed a different
  * number of draws (the checkpoint is from other code); MO_ERR_CONFLICT: the training is finished;
  * MO_ERR_NO_MEMORY. */
@@ -217,12 +217,12 @@ mo_training_robots_ahead(struct mo_training *training); /* the robots drawn ahea
  * makes about 30,000 per second. */
 void mo_training_set_threads(struct mo_training *training, uint32_t n_threads);
 
-/* Replaces the designs of a finetuning, as a campaign does between steps: from the current step on,
- * the training learns on the new ones (copied; as in mo_training_create). Discards a drawn step.
+/* Replaces the designs of a finetuning run, as a campaign does between steps: from the current step
+ * on, the run trains on the new designs (copied; as in mo_training_create). Discards a drawn step.
  * MO_ERR_NO_MEMORY: nothing changed. */
 int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n);
-/* Makes a training longer or shorter: n_steps ≥ the steps applied. Only a schedule that does not
- * depend on n_steps leaves the applied steps as they were; with other schedules it fails with
+/* Makes a training run longer or shorter: n_steps ≥ the steps applied. Only a schedule that does
+ * not depend on n_steps leaves the applied steps as they were; with other schedules it fails with
  * MO_ERR_UNSUPPORTED. */
 int mo_training_set_steps(struct mo_training *training, uint32_t n_steps);
 
@@ -283,9 +283,9 @@ struct mo_training_lineage {
  *   ".step"
  *   ".version"       of the code, as passed
  *   ".code"          JSON: the entries of `lineage` (nullable) below this step
- *   ".designs_crc64" for a finetuning
- *   ".environments_crc64" for a training in its own environments, whose number is in ".settings"
- * The file contains no time and no host name: equal trainings export equal files. The parent's own
+ *   ".designs_crc64" for a finetuning run
+ *   ".environments_crc64" for a run in its own environments, the number of which is in ".settings"
+ * The file contains no time and no host name: equal runs export equal files. The parent's own
  * metadata is not inherited. The caller frees the controller. MO_ERR_NO_MEMORY, MO_ERR_INVALID (a
  * text that is not UTF-8). */
 int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex,

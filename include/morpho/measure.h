@@ -45,21 +45,21 @@ struct mo_measure_info {
 };
 extern const struct mo_measure_info mo_measure_info[MO_MEASURES];
 
-/* Which measures a rollout computes, and where they go. Without one, or with an empty set, rollouts
- * take no time for them. They change no other result. */
+/* Which measures a rollout computes, and where they go. Without this struct, or with an empty set,
+ * rollouts spend no time on measures. Measures change no other result. */
 struct mo_measuring {
-  uint32_t set;                  /* bit k: measure k is wanted */
-  double (*values)[MO_MEASURES]; /* (rollouts) NaN: not wanted, without a value, or the rollout
+  uint32_t set;                  /* bit k: measure k is requested */
+  double (*values)[MO_MEASURES]; /* (rollouts) NaN: not requested, without a value, or the rollout
                                     diverged. The caller owns it */
 };
 
-/* Signs that a rollout did well by what real bodies cannot do. */
+/* Signs that a rollout did well by doing what real bodies cannot. */
 enum mo_measure_flag {
   MO_FLAG_OVERSTRAINED = 1, /* peak_strain is above MO_PEAK_STRAIN_BOUND */
   MO_FLAG_INVERTED = 2      /* a voxel was inside out for a control period or longer */
 };
 #define MO_PEAK_STRAIN_BOUND 2.0 /* three times as long; 1000 ordinary rollouts stay below 1 */
-/* Returns the flags, as bits, of a rollout's measures; a measure without a value raises none. */
+/* Returns the flags, as bits, of a rollout's measures; a measure without a value sets no flag. */
 uint32_t mo_measures_flags(const double measures[MO_MEASURES]);
 
 #ifdef __cplusplus

@@ -96,7 +96,7 @@ int mo_genotype_is_contiguous(struct mo_workspace workspace,
 int mo_genotype_keep_largest(struct mo_workspace workspace, uint64_t *bits);
 
 /* Places a genotype: lowest layer at z = 0, voxel centroid as near as possible to the middle of the
- * workspace; of equals the lowest x, then the lowest y. Idempotent. Exact integer arithmetic. Empty
+ * workspace; ties: the lowest x, then the lowest y. Idempotent. Exact integer arithmetic. Empty
  * stays empty. */
 void mo_genotype_place(struct mo_workspace workspace, uint64_t *bits);
 

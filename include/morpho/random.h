@@ -30,7 +30,7 @@ enum mo_purpose {
   MO_PURPOSE_HELD_OUT_TERRAIN = 11,
   MO_PURPOSE_HELD_OUT_LIGHT = 12,
   MO_PURPOSE_POPULATION = 13,     /* initial populations of campaigns */
-  MO_PURPOSE_EVOLUTION_SEED = 14, /* seeds of the trainings inside a campaign */
+  MO_PURPOSE_EVOLUTION_SEED = 14, /* seeds of the training runs in a campaign */
   MO_PURPOSE_AUDIT = 15,          /* selects the leases that are computed twice */
   MO_PURPOSE_PROFILE = 16,        /* terrain profiles of random families; step: the family */
   MO_PURPOSE_SUITE = 17,          /* worlds of morpho-12; step: the task */
@@ -50,7 +50,7 @@ struct mo_random {
 /* Applies the bijection once: out = Philox4x32-10(counter, key). */
 void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t out[4]);
 
-/* index: 48 bits; higher ones are ignored. */
+/* index: 48 bits; higher bits are ignored. */
 void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose purpose, uint32_t step,
                     uint64_t index);
 

@@ -60,7 +60,7 @@ struct mo_scheme {
   enum mo_impact impact;         /* exact */
   uint32_t bisections;           /* 8; 1 … 52; used with MO_IMPACT_BISECTION only */
 };
-/* Numbers that the kernels keep for each of their lanes. */
+/* Numbers that the kernels keep for each lane. */
 struct mo_constants {
   double stiffness_n_per_m; /* 15000, of every spring */
   double mass_kg;           /* 1, of every node */
@@ -75,8 +75,8 @@ struct mo_physics {
   struct mo_constants constants;
   double drop_height_m; /* 0: extra lift of the body at the start, plus the environment's drop_m */
 };
-/* The settings for which requests that do not say otherwise are computed: `split`, 2000 steps of 2
- * ms. docs/performance.md compares their time and error with the paper's. */
+/* The settings of requests that do not specify others: `split`, 2000 steps of 2 ms.
+ * docs/performance.md compares their time and error with the paper's. */
 #define MO_DEFAULT_CONTROL_PERIOD_S 0.016 /* of controllers that start from random weights */
 struct mo_physics mo_default_physics(void);
 /* The paper's settings, which the comments above give. Packed and stored settings are read on top
@@ -84,8 +84,8 @@ struct mo_physics mo_default_physics(void);
 struct mo_physics mo_paper_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message names the field and its bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);
-/* The same with the constants that an environment's factors make of them, times any factors from
- * `vary`. environment, vary: nullable. */
+/* The same for the constants times an environment's factors and times any factors from `vary`.
+ * environment, vary: nullable. */
 int mo_physics_check_in(const struct mo_physics *physics, const struct mo_environment *environment,
                         const struct mo_factor_ranges *vary, struct mo_message *message);
 
@@ -103,7 +103,7 @@ bool mo_step_is_stable(const struct mo_physics *physics, double eigenvalue);
  * computations have equal settings. MO_ERR_RANGE: the period is not a whole multiple of dt_s. */
 int mo_physics_complete(struct mo_physics *physics, double controller_period_s);
 
-/* Returns the steps in a control period: 1 … n_steps, for a longer period acts like n_steps.
+/* Returns the steps in a control period: 1 … n_steps, because a longer period acts like n_steps.
  * Returns 0 if the period is not a whole multiple of dt_s. */
 uint32_t mo_control_steps(const struct mo_scheme *scheme);
 

@@ -22,8 +22,8 @@ extern "C" {
 #define MO_ERROR_DISPLACED      3
 #define MO_ERROR_RUNS_MAX       (2 + MO_ERROR_DISPLACED)
 #define MO_ERROR_DISPLACEMENT_M 1e-7 /* upward, of the first displaced start; then 2 ×, 3 × */
-/* Above this height, starts that far apart are the same in float32, whose digits there are as large
- * (6e-8 m below 1 m). */
+/* Above this height, starts this far apart are equal in float32, the spacing of which is as large
+ * there (6e-8 m below 1 m). */
 #define MO_ERROR_FLOAT32_MAX_M 1.0
 
 /* An environment bifurcates if its losses, as requested and with displaced starts, differ by more
@@ -32,7 +32,8 @@ extern "C" {
 
 /* Returns the number of runs; without displaced starts there is only run 0. */
 uint32_t mo_error_runs(uint32_t n_displaced);
-/* Returns their cost, in rollouts with the requested step: rollouts with half of it cost twice. */
+/* Returns their cost, in rollouts with the requested step: rollouts with half the step cost twice
+ * as much. */
 uint32_t mo_error_cost(uint32_t n_displaced);
 /* Returns the settings of a run, with the same control period and duration. They may exceed a
  * bound: check them. */

@@ -22,12 +22,12 @@ extern "C" {
 #define MO_LADDER_FLOAT64  2 /* the first rung that is float64 even if the request is float32 */
 #define MO_LADDER_RUNS_MAX (MO_LADDER_RUNGS * MO_ERROR_RUNS_MAX)
 
-/* Tolerances of a mean loss. Below the least one, rounding in float64 and the displaced starts
+/* Tolerances of a mean loss. Below the lower bound, rounding in float64 and the displaced starts
  * decide. */
 #define MO_TOLERANCE_MIN 1e-5
 #define MO_TOLERANCE_MAX 1e3
 
-/* Returns whether a tolerance is 0, for none, or within the bounds and with displaced starts. */
+/* Returns whether a tolerance is 0 (none), or is within the bounds and with displaced starts. */
 bool mo_tolerance_is_sound(double tolerance, uint32_t n_displaced);
 
 /* Settings of a rollout. */
@@ -43,8 +43,8 @@ uint32_t mo_ladder_runs(uint32_t n_displaced, double tolerance);
 /* Returns the settings of a run. The runs of a rung are consecutive: run i is run i % r of rung
  * i / r, where r is mo_error_runs(n_displaced). */
 struct mo_setting mo_ladder_run(const struct mo_setting *first, uint32_t n_displaced, uint32_t run);
-/* Returns the cost of all runs, in rollouts with the settings of rung 0. Float64 counts like
- * float32. */
+/* Returns the cost of all runs, in rollouts with the settings of rung 0. A float64 rollout counts
+ * as much as a float32 one. */
 uint32_t mo_ladder_cost(uint32_t n_displaced, double tolerance);
 
 /* Where a design ended. */
@@ -54,7 +54,7 @@ struct mo_climb {
   bool reached;
   /* The tolerance is missed, and a smaller step does not help: in every rung, displaced starts
    * change the score by more than the tolerance, or the estimated error of the last rung is more
-   * than half of that two rungs before (a converging first-order error is a quarter). */
+   * than half of that of two rungs before (a converging first-order error would be a quarter). */
   bool bifurcates;
 };
 /* Chooses the rung of a design from the errors of its first n ≥ 1 rungs. */

@@ -1,13 +1,14 @@
 /* state.h: rollouts in windows. A rollout can end with its state, and another one can start from
- * it: the windows together have the bits of one rollout over all their steps, with its recordings
- * and its loss. Between two windows the light may move, and the task and the controller may change.
+ * it: together, the windows give the same bits as one rollout over all their steps, including its
+ * recordings and its loss. Between two windows the light may move, and the task and the controller
+ * may change.
  *
- * Loss, value and measures of a window cover everything since the tally began, as in one rollout up
- * to now. Only the state holds data from earlier environments (where the tally began, sums,
- * progress on a path); the rest comes from the window's environment. A tally begins at the start of
- * the rollout, and again at the start of a window whose task differs from that of the window
- * before: its clock, which moves the light of a guide, then starts at 0. The controller's clock
- * never does. */
+ * Loss, value and measures of a window cover everything since the tally began, as in a single
+ * rollout up to that point. Only the state holds data from earlier environments (where the tally
+ * began, sums, progress on a path); the rest comes from the window's environment. A tally begins at
+ * the start of the rollout, and again at the start of a window whose task differs from that of the
+ * previous window: its clock, which moves the light of a guide, then starts at 0. The controller's
+ * clock never does. */
 #ifndef MORPHO_STATE_H
 #define MORPHO_STATE_H
 
@@ -30,7 +31,7 @@ struct mo_state_tally {
   double start_turn[2];  /* as `turn`, when it began */
   /* The task, at the latest instant; unused by `reach` to a fixed light. */
   double com_m[3];
-  double sum, sums[5]; /* way, or distances; of a sum's terms */
+  double sum, sums[5]; /* distance traveled, or distances; of a sum's terms */
   double facing[2];    /* a unit vector: the heading, or the direction of the path's leg */
   double length_m, before_m, along_m; /* path: of this leg; progress at its start; on it */
   uint32_t leg;
@@ -51,18 +52,18 @@ struct mo_state_tally {
 /* The state of one body after step `step`. Numbers of a float32 rollout are exact in float64. */
 struct mo_state {
   uint32_t n_masses, n_springs, n_voxels;
-  uint32_t step; /* steps since the start; 0: the rollout diverged, and cannot go on */
+  uint32_t step; /* steps since the start; 0: the rollout diverged, and cannot continue */
   enum mo_precision precision; /* of the rollout */
-  /* The first bytes of hashes. The first two must stay: of the physics except for n_steps and
-   * drop_height_m, and of the terrain with the factors. */
+  /* The first bytes of hashes. The first two must not change between windows: those of the physics
+   * except for n_steps and drop_height_m, and those of the terrain with the factors. */
   uint8_t physics_key[MO_STATE_KEY_BYTES], terrain_key[MO_STATE_KEY_BYTES];
   uint8_t task_key[MO_STATE_KEY_BYTES];
   /* One allocation, of mo_state_create. */
   double *position_m;       /* (n_masses, 3) rounded to float64 */
-  double *position_rest_m;  /* (n_masses, 3) what that left out: kernels count x and y from the
-                               world's center */
+  double *position_rest_m;  /* (n_masses, 3) what that rounding left out: kernels measure x and y
+                               from the world's center */
   double *velocity_m_per_s; /* (n_masses, 3) at the end of the step; `split`: in its middle */
-  double *output;           /* (n_springs) the controller's outputs that are held; 0: none */
+  double *output;           /* (n_springs) the held outputs of the controller; 0: none */
   uint8_t *contacts;        /* (n_masses) 1: touched the terrain in the step */
   uint8_t *cut;             /* (n_springs) 1: cut by damage */
   uint8_t *inverted;        /* (n_voxels) 1: inside out at the latest instant, if observed */
@@ -85,8 +86,8 @@ int mo_state_check(const struct mo_state *state, const struct mo_body *body,
 /* The states of a window's rollouts. */
 struct mo_states {
   const struct mo_state *from; /* (rollouts) all after the same step; NULL: the usual start */
-  struct mo_state *to; /* (rollouts) of mo_state_create, written at the end; NULL: not wanted. Not
-                          the same as `from` */
+  struct mo_state *to; /* (rollouts) of mo_state_create, written at the end; NULL: not requested.
+                          Must differ from `from` */
 };
 
 /* mo_rollout_reference for a window of physics->scheme.n_steps steps. diverged_step and the frames

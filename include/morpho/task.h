@@ -55,7 +55,7 @@ enum mo_objective {
   MO_OBJECTIVE_REACH = 0, /* distance to the light at the end over that at the start; fixed, moving
                            */
   MO_OBJECTIVE_APPROACH,  /* mean distance to the light over that at the start; fixed, moving */
-  MO_OBJECTIVE_TRAVEL,    /* way in the direction of the heading; ahead, turning */
+  MO_OBJECTIVE_TRAVEL,    /* distance traveled in the direction of the heading; ahead, turning */
   MO_OBJECTIVE_FOLLOW,    /* progress on the path, less the mean distance from it; path */
   MO_OBJECTIVE_CLIMB,     /* height that the center of mass has gained; any guide */
   MO_OBJECTIVE_PURSUE,    /* the same as approach, for a light that moves; moving */
@@ -65,10 +65,10 @@ enum mo_objective {
 };
 extern const char *const mo_objective_words[]; /* "reach", "approach", …, NULL; not of the sum */
 
-#define MO_EFFICIENT_FLOOR_M 0.2  /* way that does not count */
+#define MO_EFFICIENT_FLOOR_M 0.2  /* distance that does not count */
 #define MO_EFFICIENT_LEAST_J 1.0  /* less work than this counts as this much */
 #define MO_JUMP_FROM_S       0.4  /* earlier heights do not count; the end always does */
-#define MO_JUMP_SIDEWAYS     0.5  /* height that a meter of displacement takes away, in m */
+#define MO_JUMP_SIDEWAYS     0.5  /* height that a meter of displacement subtracts, in m */
 #define MO_JUMP_SOFTNESS_M   0.02 /* of the smooth maximum that gradients have */
 
 /* The terms of a sum. The service accepts at most this many. */
@@ -82,7 +82,7 @@ struct mo_task {
   enum mo_objective objective;
   uint32_t n_terms; /* of MO_OBJECTIVE_SUM, 1 … MO_TERMS_MAX; otherwise 0. Unused terms are 0 */
   uint32_t terms[MO_TERMS_MAX]; /* enum mo_objective, or MO_TERM_MEASURE + enum mo_measure;
-                                   ascending, none twice */
+                                   ascending, without duplicates */
   double weights[MO_TERMS_MAX]; /* not 0 */
 };
 

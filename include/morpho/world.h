@@ -116,8 +116,8 @@ int mo_variations_draw(const struct mo_factor_ranges *ranges, uint64_t seed, uin
 
 struct mo_environment {
   double light_xy_m[2];
-  double terrain_heights_m[MO_TERRAIN_HEIGHTS]; /* those that a profile does not have are 0, and all
-                                                   if there is a custom grid */
+  double terrain_heights_m[MO_TERRAIN_HEIGHTS]; /* those that a profile does not have are 0, as are
+                                                   all if there is a custom grid */
   struct mo_task task;      /* all 0: the light is fixed, and the robot is to reach it */
   uint32_t n_profile;       /* 0: the terrain is a grid; else the number of a profile's heights,
                                MO_PROFILE_HEIGHTS_MIN … MO_TERRAIN_HEIGHTS */
@@ -199,7 +199,7 @@ enum mo_terrain_family {
   MO_TERRAIN_ROUGH = 0,   /* a grid: mo_terrain_random(seed, 0, 0, sigma_m) */
   MO_TERRAIN_FLAT,        /* a grid; the same as `rough` with a σ of 0 */
   MO_TERRAIN_SLOPE,       /* climbs to the end */
-  MO_TERRAIN_STAIRS_UP,   /* steps of rise_m, each run_m after the other */
+  MO_TERRAIN_STAIRS_UP,   /* steps of rise_m, each run_m after the previous one */
   MO_TERRAIN_STAIRS_DOWN, /* the same downward */
   MO_TERRAIN_HURDLES,     /* ridges two spacings wide, of random heights and distances */
   MO_TERRAIN_GAPS,        /* ditches between platforms of random lengths */
@@ -251,15 +251,15 @@ void mo_environment_held_out(uint64_t seed, uint64_t index, struct mo_environmen
  * the pairing, 1 + k for the heights of environment k. */
 void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_COUNT]);
 
-/* The named sets: "paper-test", and of the suite morpho-12, for each task, ten worlds to select
- * with ("morpho-12-walk") and 64 others ("morpho-12-walk-held-out"). A set never changes. */
+/* The named sets: "paper-test" and, for each task of the suite morpho-12, ten worlds for selection
+ * ("morpho-12-walk") and 64 others ("morpho-12-walk-held-out"). A set never changes. */
 #define MO_SUITE_SEED           UINT64_C(20261129)
 #define MO_SET_ENVIRONMENTS_MAX 64
 extern const char *const mo_set_words[]; /* NULL after the last */
 /* Fills in the set number i of mo_set_words. Returns the number of its environments. */
 uint32_t mo_environment_set(int i, struct mo_environment environments[MO_SET_ENVIRONMENTS_MAX]);
 
-/* The suites: "morpho-12", the sets to select with of its twelve tasks, in order, and
+/* The suites: "morpho-12", the selection sets of its twelve tasks, in order, and
  * "morpho-12-held-out", their held-out sets. All sets of a suite have the same number of
  * environments. */
 #define MO_SUITE_TASKS            12
