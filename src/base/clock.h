@@ -8,7 +8,7 @@
  * clock. */
 uint64_t mo_clock_ns(void);
 int64_t mo_clock_us(void);
-/* Reads the processor time of the calling thread. */
+/* Reads the CPU time of the calling thread. */
 uint64_t mo_clock_thread_ns(void);
 /* Reads the wall clock: microseconds since 1970, UTC. May jump. */
 int64_t mo_clock_wall_us(void);

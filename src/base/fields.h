@@ -60,7 +60,8 @@ struct mo_field {
   double min, max;               /* of counts, numbers, and characters of a text */
   uint32_t n, side;              /* of several numbers; side: of a row of a table, or 0 */
   const char *const *words;      /* of a word; NULL after the last */
-  const struct mo_fields *group; /* of a group, inline or not; of an own type: its members */
+  const struct mo_fields *group; /* of a group, inline or not; of a field with its own type: its
+                                    members */
   const struct mo_field_own *own;
   unsigned since;   /* the first version of the packed form that has the row; 0: every version */
   const char *unit; /* "m", "s"; "": none */
@@ -141,7 +142,7 @@ bool mo_fields_unpack(const struct mo_fields *fields, unsigned version, const ui
  * defaults. */
 unsigned mo_fields_version(const struct mo_fields *fields, const void *settings,
                            const void *defaults);
-/* Replaces each −0 by 0, so that equal structs have equal packed forms. */
+/* Replaces each −0 with 0, so that equal structs have equal packed forms. */
 void mo_fields_clear_minus(const struct mo_fields *fields, void *settings);
 bool mo_fields_equal(const struct mo_fields *fields, const void *first, const void *second);
 

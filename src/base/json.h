@@ -94,7 +94,7 @@ bool mo_json_object(struct mo_json *json);
 bool mo_json_member(struct mo_json *json, struct mo_json_slice *key);
 
 /* Reads an array of whole numbers from 0 to max into `counts`, up to `room` of them. *n is
- * incremented for each item, including items beyond `room`. A refused count leaves its place
+ * incremented for each item, including items beyond `room`. A rejected count leaves its element
  * unchanged. */
 void mo_json_counts(struct mo_json *json, uint32_t max, uint32_t *counts, uint32_t room,
                     uint32_t *n);

@@ -1,4 +1,4 @@
-/* memory.h: aligned allocation, checked against overflow, and memory for a while. */
+/* memory.h: aligned allocation, checked against overflow, and memory for short-lived use. */
 #ifndef MORPHO_BASE_MEMORY_H
 #define MORPHO_BASE_MEMORY_H
 

@@ -1,4 +1,4 @@
-/* processors.h: the number of processors that this process can keep busy, and the limits of its
+/* processors.h: the number of CPUs that this process can keep busy, and the limits of its
  * cgroups. */
 #ifndef MORPHO_BASE_PROCESSORS_H
 #define MORPHO_BASE_PROCESSORS_H
@@ -7,8 +7,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Returns the number of processors in the affinity mask, or fewer if a CPU quota of the process's
- * cgroups allows only that; at least 1. */
+/* Returns the number of CPUs in the affinity mask, or fewer if a CPU quota of the process's cgroups
+ * allows only that; at least 1. */
 uint32_t mo_processors(void);
 /* Returns the smallest quota divided by its period, rounded up, among the process's cgroup and all
  * cgroups above it (`cpu.max` of version 2, `cpu.cfs_quota_us` of version 1). Returns UINT32_MAX if

@@ -227,7 +227,7 @@ int mo_controller_set_metadata(struct mo_controller *controller, const char *key
   if (key == NULL || value == NULL || /* only UTF-8 can be written into a JSON header */
       !mo_utf8_is_valid(key) || !mo_utf8_is_valid(value))
     return MO_ERR_INVALID;
-  /* These entries describe the parameters, which another value would contradict. */
+  /* These entries describe the parameters, which any other value would contradict. */
   static const char *const fixed[] = {"mass_order", "spring_order", "sensor", "control_period_s",
                                       "workspace"};
   for (size_t i = 0; i < sizeof(fixed) / sizeof(fixed[0]); i++) {

@@ -126,7 +126,7 @@ static int read_period(const json_t *metadata, double *period_s, struct mo_messa
                  printable(text).text, MO_CONTROL_PERIOD_MAX_S);
 }
 
-/* What the metadata say of the controller. */
+/* What the metadata say about the controller. */
 struct described {
   struct mo_workspace workspace;
   enum mo_sensor sensor;

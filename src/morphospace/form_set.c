@@ -22,7 +22,7 @@
 #define SEGMENT_FIRST  16 /* slots of a table's first size */
 #define SLOTS_MAX      (UINT64_C(1) << 32)
 #define FETCHED        16  /* forms whose slots are being prefetched; a power of two */
-#define WORTH_A_THREAD 512 /* forms that make a thread pay off, about 50 µs */
+#define WORTH_A_THREAD 512 /* forms that make another thread worthwhile, about 50 µs */
 
 int mo_form_set_create(struct mo_workspace workspace, struct mo_form_set **set)
 {

@@ -99,7 +99,7 @@ const struct mo_environment mo_environment_defaults = {0};
 
 unsigned mo_environment_version(const struct mo_environment *environment)
 {
-  /* Objectives that versions before 5 do not have are packed in this one. */
+  /* Objectives that versions before 5 lack are packed in version 5. */
   const unsigned least = environment->grid != NULL ? MO_ENVIRONMENT_GRID_VERSION
                          : environment->task.objective > MO_OBJECTIVE_PURSUE ? 5
                                                                              : 1;
@@ -108,7 +108,7 @@ unsigned mo_environment_version(const struct mo_environment *environment)
   return version > least ? version : least;
 }
 
-/* The heights that another terrain than the grid of 8 × 8 does not have: those from n on. */
+/* Checks that the heights from n on, which only the 8 × 8 grid has, are 0. */
 static int check_zeros(const struct mo_environment *environment, uint32_t n, uint32_t *where)
 {
   for (uint32_t k = n; k < MO_TERRAIN_HEIGHTS; k++)
@@ -119,7 +119,7 @@ static int check_zeros(const struct mo_environment *environment, uint32_t n, uin
   return MO_OK;
 }
 
-/* The shape of the terrain; *where: the number of what is wrong. */
+/* Checks the shape of the terrain; *where: the number of the invalid part. */
 static int check_profile(const struct mo_environment *environment, uint32_t *where)
 {
   const uint32_t n = environment->n_profile;

@@ -14,7 +14,7 @@
 extern const struct mo_fields mo_place_fields;
 enum { MO_PLACE_LIGHT, MO_PLACE_HEIGHTS }; /* its first rows */
 /* Returns whether the environment has a row: no light if its task moves one, and no heights of a
- * grid if its terrain is a profile. Those have members of their own in JSON (task_json.h). */
+ * grid if its terrain is a profile. Those have their own members in JSON (task_json.h). */
 bool mo_place_has(const struct mo_environment *environment, size_t row);
 
 /* The drop, for JSON and the packed form. */

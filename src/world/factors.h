@@ -14,8 +14,8 @@ extern const struct mo_fields mo_factor_range_fields, mo_vary_fields;
  * vary. */
 extern const struct mo_field_own mo_vary_own;
 
-/* Also refuses factors that are all 1 but given: such an environment would have another hash than
- * the same one without factors. MO_ERR_INVALID, MO_ERR_RANGE. */
+/* Also rejects factors that are given but all 1: such an environment would have a different hash
+ * from the same one without factors. MO_ERR_INVALID, MO_ERR_RANGE. */
 int mo_factors_check(const struct mo_factors *factors);
 /* Returns the factors, or none if all are 1. */
 struct mo_factors mo_factors_simplest(const struct mo_factors *factors);

@@ -61,7 +61,7 @@ static int check_number(const char *name, double value, double min, double max,
   return MO_OK;
 }
 
-/* A rise over one spacing. */
+/* Checks a rise over one spacing. */
 static int check_rise(const struct mo_terrain_recipe *recipe, const char *name, double value,
                       struct mo_message *message)
 {
@@ -75,7 +75,7 @@ static int check_rise(const struct mo_terrain_recipe *recipe, const char *name, 
   return MO_OK;
 }
 
-/* A length along x: *spacings gets it. */
+/* Checks a length along x, and writes it to *spacings in spacings. */
 static int check_length(const struct mo_terrain_recipe *recipe, const char *name, double value,
                         int least, int *spacings, struct mo_message *message)
 {
@@ -93,7 +93,7 @@ static int check_length(const struct mo_terrain_recipe *recipe, const char *name
 
 /* ---- shapes: heights above the level where the robot starts ---- */
 
-/* The number of the first height at x_m or behind it, but for rounding. */
+/* Returns the index of the first height at or beyond x_m, ignoring rounding. */
 static int first_at(const struct mo_terrain_recipe *recipe, double x_m)
 {
   return (int)ceil(x_m / recipe->spacing_m - 1e-9);

@@ -1,8 +1,8 @@
 /* suite.c: the named sets of environments: the paper's test set, and those of the suite morpho-12.
  *
- * Each task of the suite has ten worlds to select with and 64 that are held out. World i of task k
+ * Each task of the suite has ten worlds for selection and 64 that are held out. World i of task k
  * comes from the stream (MO_SUITE_SEED, SUITE, k, i); held-out worlds are i = 64 … 127. Numbers are
- * rounded to 0.00001 where they are drawn, so that the worlds are short to write down. */
+ * rounded to 0.00001 where they are drawn, so that the worlds are short in text form. */
 #include <morpho/random.h>
 #include <morpho/world.h>
 
@@ -69,7 +69,7 @@ static double heading(struct mo_random *random)
   return between(random, -M_PI, M_PI);
 }
 
-/* Draws a unit vector, without sines, whose bits could differ between machines. */
+/* Draws a unit vector without using sines, because their bits could differ between machines. */
 static void draw_direction(struct mo_random *random, double direction[2])
 {
   double square;
@@ -101,7 +101,7 @@ static void draw_shuttle(struct mo_random *random, struct mo_guide *guide)
     set_point(guide, i, middle_m, i % 2 == 0 ? length_m : 0, direction);
 }
 
-/* Each leg turns by at most about 120° from the one before. */
+/* Each leg turns by at most about 120° from the previous one. */
 static void draw_path(struct mo_random *random, struct mo_guide *guide)
 {
   double before[2], direction[2];

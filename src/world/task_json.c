@@ -138,7 +138,7 @@ static void read_guide(struct mo_json *json, struct mo_environment *environment,
   }
 }
 
-/* Adds a fault for a member that the guide lacks, or has in vain. */
+/* Adds a fault for a member that the guide needs but lacks, or has but does not use. */
 static void check_members(struct mo_json *json, unsigned depth, const struct mo_guide *guide,
                           unsigned given)
 {
@@ -173,8 +173,8 @@ static void complete_guide(struct mo_environment *environment, unsigned given)
 
 /* ---- reading ---- */
 
-/* Adds a term in its place. Returns its index, or −1 if it is there already. A sum that is full
- * loses its last term, which the caller notices by the number of terms. */
+/* Adds a term in its place. Returns its index, or −1 if it is already present. A full sum loses its
+ * last term, which the caller detects by the number of terms. */
 static int add_term(struct mo_task *task, uint32_t term, double weight)
 {
   uint32_t at = 0;

@@ -1,9 +1,9 @@
 /* task_json.h: tasks and environments in JSON. docs/tasks.md describes the members.
  *
  * A task is a word of mo_task_words, or {"guide": {"kind": …}, "objective": …}. An objective is a
- * word, or the weights of a sum: {"travel": 1, "work_j": -0.001}. The light of a
- * guide that moves it from a place of its own is a member of the guide; the light of a fixed guide
- * is a member of the environment, and the other guides have none. */
+ * word, or the weights of a sum: {"travel": 1, "work_j": -0.001}. The light of a guide that moves
+ * it from its own starting place is a member of the guide; the light of a fixed guide is a member
+ * of the environment, and the other guides have none. */
 #ifndef MORPHO_WORLD_TASK_JSON_H
 #define MORPHO_WORLD_TASK_JSON_H
 

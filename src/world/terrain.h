@@ -1,5 +1,5 @@
-/* terrain.h: the cells of a terrain along each axis, which all shapes have: a profile is a grid of
- * one row of cells, whose height does not change with y; and the words of families. */
+/* terrain.h: the cells of a terrain along each axis, for all shapes: a profile is a grid with one
+ * row of cells, and its height does not change with y; and the words of families. */
 #ifndef MORPHO_WORLD_TERRAIN_H
 #define MORPHO_WORLD_TERRAIN_H
 

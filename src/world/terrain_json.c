@@ -14,7 +14,7 @@ _Static_assert(sizeof(kinds) / sizeof(*kinds) == GRID + 2, "every family has a w
 #define KIND(family) (1U << MO_TERRAIN_##family)
 #define STAIRS       (KIND(STAIRS_UP) | KIND(STAIRS_DOWN))
 #define GIVEN        (1U << PROFILE | 1U << GRID)
-#define RANDOM       (KIND(HURDLES) | KIND(GAPS) | KIND(STEPS)) /* but `rough` */
+#define RANDOM       (KIND(HURDLES) | KIND(GAPS) | KIND(STEPS)) /* except `rough` */
 
 /* A terrain in a request. */
 struct asked {
@@ -137,7 +137,7 @@ static void read_grid_row(struct mo_json *json, struct asked *asked)
     asked->columns = n < MO_GRID_SIDE_MAX ? n : MO_GRID_SIDE_MAX;
 }
 
-/* Reads the rows of a grid or the heights of a profile: the first item says which. */
+/* Reads the rows of a grid or the heights of a profile: the first item decides which. */
 static void read_heights(struct mo_json *json, void *value)
 {
   struct asked *asked = value;
@@ -174,7 +174,7 @@ static void read_heights(struct mo_json *json, void *value)
   asked->n = has_rows ? 0 : n;
 }
 
-/* Adds a fault for a member that the kind lacks, or has in vain. */
+/* Adds a fault for a member that the kind needs but lacks, or has but does not use. */
 static void check_members(struct mo_json *json, unsigned depth, const struct asked *asked,
                           unsigned given)
 {
@@ -194,7 +194,7 @@ static void check_members(struct mo_json *json, unsigned depth, const struct ask
   }
 }
 
-/* Adds a fault for values that another kind may have. */
+/* Adds a fault for values that only a different kind may have. */
 static void check_kind(struct mo_json *json, unsigned depth, const struct asked *asked,
                        unsigned given)
 {
@@ -214,7 +214,7 @@ static void check_kind(struct mo_json *json, unsigned depth, const struct asked 
                      "heights, use \"grid\"");
 }
 
-/* Sets what a family was not given. */
+/* Sets the members of a family that were not given. */
 static void complete(struct asked *asked, unsigned given)
 {
   const enum mo_terrain_family family = (enum mo_terrain_family)asked->kind;

@@ -2,8 +2,8 @@
  * docs/tasks.md describes the members.
  *
  * {"kind": "profile", "heights_m": […], "spacing_m": …}, {"kind": "grid", "heights_m": [[…], …],
- * "spacing_m": …}, or a family (<morpho/world.h>) with the
- * fields of its recipe, of which those that are left out have their defaults. */
+ * "spacing_m": …}, or a family (<morpho/world.h>) with the fields of its recipe; fields that are
+ * left out have their defaults. */
 #ifndef MORPHO_WORLD_TERRAIN_JSON_H
 #define MORPHO_WORLD_TERRAIN_JSON_H
 
