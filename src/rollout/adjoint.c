@@ -32,7 +32,7 @@ static void add_com(const struct mo_reference *r, const double d_com[3], struct 
     adjoint->d_position[i] += d_com[i % 3] / (double)n;
 }
 
-/* The instant at the start of step number `step`. */
+/* Differentiates the instant at the start of step number `step`. */
 static void guide_adjoint(const struct mo_reference *r, uint32_t step, const double d_light[3],
                           struct mo_adjoint *adjoint)
 {
@@ -109,8 +109,9 @@ static void pull_springs_adjoint(const struct mo_reference *r, uint32_t step,
   }
 }
 
-/* The work at the start of a control period: work += k / 2 · max(after² − before², 0) over the
- * springs, which depends on the new outputs, on the previous ones, and on the positions. */
+/* Differentiates the work at the start of a control period: work += k / 2 · max(after² − before²,
+ * 0) over the springs, which depends on the new outputs, on the previous ones, and on the
+ * positions. */
 static void work_adjoint(const struct mo_reference *r, uint32_t step,
                          const struct mo_step_tape *tape, struct mo_adjoint *adjoint)
 {

@@ -19,9 +19,9 @@ struct mo_adjoint {
 };
 
 /* Turns ∂loss/∂ the state after step number `step`, which is on the tape, into ∂loss/∂ the state
- * before it. Outputs that are held act in later steps, too: the adjoint carries what these
- * contribute until the step that computed the outputs, whose tape then has what
- * mo_controller_accumulate needs. */
+ * before it. Held outputs also act in later steps: the adjoint carries what those steps contribute
+ * until the step that computed the outputs, whose tape then has what mo_controller_accumulate
+ * needs. */
 void mo_adjoint_step(const struct mo_reference *reference, uint32_t step, struct mo_step_tape *tape,
                      struct mo_adjoint *adjoint);
 

@@ -32,13 +32,13 @@ struct mo_block_physics {
                       const void *lights, void *sensors);
   /* Computes n springs. activations: (n, lanes). `observed` and `intact` are unused. */
   mo_pull_function *pull_springs;
-  /* Does the same, and observes them for the measures. */
+  /* Does the same, and observes the springs for the measures. */
   mo_pull_function *pull_observed_springs;
   /* Does the same for springs of which some may be cut; observed->squares NULL: observes
    * nothing. */
   mo_pull_function *pull_intact_springs;
   /* Moves all masses by one step. Returns the lanes whose state is no longer finite or valid.
-   * used_lanes: the lanes that count. */
+   * used_lanes: the lanes in use. */
   uint32_t (*move)(const struct mo_fast_run *run, const void *constants, const void *terrain,
                    uint32_t first_lane, uint32_t used_lanes, const void *positions,
                    void *next_positions, void *velocities);

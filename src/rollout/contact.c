@@ -199,13 +199,14 @@ struct split {
   double impact, rest;          /* s */
   double hit[3], g[2], n[3];    /* place, the terrain's gradient, its unit normal */
   double w[3], wn, t[3], speed; /* velocity at impact; its normal part; the tangential; its size */
-  double kept;                  /* of t after the impact */
-  double y[3];                  /* after it */
-  double b;                     /* normal velocity after it */
+  double kept;                  /* share of t left after the impact */
+  double y[3];                  /* tangential velocity after the impact */
+  double b;                     /* normal velocity after the impact */
   double an, q[3], pace;        /* normal acceleration; tangential velocity without friction; |q| */
-  double lift, press;           /* normal velocity at the end without the ground; what it takes */
-  double held;                  /* of q after friction */
-  double z[3];                  /* after it */
+  double lift, press;           /* normal velocity at the end without the ground; the part that the
+                                   ground takes */
+  double held;                  /* share of q left by friction */
+  double z[3];                  /* tangential velocity at the end */
   double end[3];                /* place */
 };
 
@@ -457,8 +458,8 @@ void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_con
   place_adjoint(scheme, environment, impact, hit, g, p, v, d_hit, dg, d_impact, dp, dv);
 }
 
-/* Differentiates z = (1 − min(lost, |q|)/|q|) · q by q; returns ∂loss/∂lost. `speed`: |q|. Once
- * friction stops the mass, nothing flows through it. */
+/* Differentiates z = (1 − min(lost, |q|)/|q|) · q with respect to q; returns ∂loss/∂lost. `speed`:
+ * |q|. Once friction stops the mass, nothing flows through it. */
 static double slow_adjoint(double lost, double speed, const double q[3], const double dz[3],
                            double dq[3])
 {
@@ -473,8 +474,8 @@ static double slow_adjoint(double lost, double speed, const double q[3], const d
   return -along;
 }
 
-/* From ∂loss/∂ the place and velocity at the end, d_end and de, to that of the place of impact, of
- * the velocity then, of the acceleration, and of the time of impact, which is returned. dg: of the
+/* Converts ∂loss/∂ the place and velocity at the end, d_end and de, to ∂loss/∂ the place of impact,
+ * the velocity then, the acceleration, and the time of impact, which is returned. dg: ∂loss/∂ the
  * terrain's gradient. */
 static double slide_adjoint(const struct mo_constants *constants, const struct split *s,
                             const double a[3], const double d_end[3], const double de[3],

@@ -20,11 +20,12 @@ bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *
                      double position_m[3], double velocity_m_per_s[3]);
 
 /* For `split`, a mass that is less than this above the ground lies on it. It is above the rounding
- * errors of float32 on all but extreme terrains, and what a mass falls from rest in 0.4 ms. */
+ * errors of float32 on all but extreme terrains, and about the distance that a mass falls from rest
+ * in 0.4 ms. */
 #define MO_LIES_M 1e-6
 
-/* mo_contact_move for `split`. velocity: in the middle of the step; acceleration: by springs and
- * gravity, without drag. */
+/* mo_contact_move for `split`. velocity: in the middle of the step; acceleration: due to springs
+ * and gravity, without drag. */
 bool mo_contact_split(const struct mo_scheme *scheme, const struct mo_constants *constants,
                       const struct mo_environment *environment, double highest_m,
                       const double acceleration[3], double position_m[3],

@@ -8,7 +8,7 @@
 
 #define EXPONENT_MAX 600.0 /* mo_fast_exp is 0 below −700 */
 
-/* exp(x), of either sign. A body can fall so far that the loss would overflow; only one that
+/* exp(x), of either sign. A body can fall so far that the loss would overflow; only a body that
  * diverged has an infinite loss. */
 static double exponential(double x)
 {
@@ -28,7 +28,7 @@ static const double *leg_end(const struct mo_course *course, uint32_t leg)
   return guide_of(course)->points_m[leg];
 }
 
-/* Begins the leg number track->leg. */
+/* Begins leg number track->leg. */
 static void face(const struct mo_course *course, struct mo_track *track)
 {
   const double *from = leg_start(course, track->leg), *to = leg_end(course, track->leg);
@@ -37,8 +37,8 @@ static void face(const struct mo_course *course, struct mo_track *track)
     track->facing[axis] = track->length_m > 0 ? (to[axis] - from[axis]) / track->length_m : 0;
 }
 
-/* How far along the track's leg the place nearest to its center of mass is, if the leg had no
- * ends. */
+/* Returns how far along the track's leg the point nearest to the center of mass is, as if the leg
+ * had no ends. */
 static double along_leg(const struct mo_course *course, const struct mo_track *track)
 {
   const double *from = leg_start(course, track->leg);
@@ -55,8 +55,8 @@ void mo_course_off_path(const struct mo_course *course, const struct mo_track *t
     off_m[axis] = track->com_m[axis] - (from[axis] + along * track->facing[axis]);
 }
 
-/* Moves the progress to where the center of mass is: to the next legs whose way-points it has
- * reached, then along the leg. */
+/* Advances the progress to the center of mass: past the way-points that it has reached, then along
+ * the leg. */
 static void make_progress(const struct mo_course *course, struct mo_track *track)
 {
   track->along_is = MO_TRACK_KEPT;
@@ -173,7 +173,7 @@ void mo_course_begin(struct mo_course *course, const struct mo_environment *envi
   course->scale_m = mo_objective_scale(environment->task.objective);
   if (environment->task.objective == MO_OBJECTIVE_EFFICIENT ||
       environment->task.objective == MO_OBJECTIVE_SUM) {
-    course->scale_m = 1; /* their losses are not of a distance */
+    course->scale_m = 1; /* their losses do not measure a distance */
   } else if (course->scale_m == 0) {
     double light_m[2];
     mo_course_light_xy(course, 0, track, light_m);
@@ -225,7 +225,7 @@ void mo_course_advance(const struct mo_course *course, double t_s, const double 
 
 /* ---- values ---- */
 
-/* 1 − the value of an objective whose loss that is when it stands alone. */
+/* Returns 1 − the value of `reach`, `approach` or `pursue`: its loss when it is the only term. */
 static double share_of(const struct mo_course *course, const struct mo_track *track, uint32_t term)
 {
   double light_m[2];

@@ -1,5 +1,5 @@
 /* course.h: a task during one rollout, in float64: where the guide puts the light, what the
- * objective sums up, and their derivatives. All paths on processors share it; docs/model.md has the
+ * objective sums up, and their derivatives. All CPU paths share it; docs/model.md has the
  * equations. It runs once for each control period.
  *
  * An instant is the start of a control period, or the end of the rollout. */
@@ -29,9 +29,9 @@ struct mo_tally {
  * and the results of tasks that have a tally. */
 struct mo_track {
   double com_m[3];
-  double sum;       /* over the periods that have ended: way, or distances */
+  double sum;       /* over the periods that have ended: distance traveled, or distances */
   double facing[2]; /* unit vector: the heading, the direction of the path's leg, or, for a light
-                       that moves on its own, the angle that it has turned by */
+                       that moves on its own, the angle by which it has turned */
   double length_m;  /* path: of this leg */
   double before_m;  /* path: progress at the start of this leg */
   double along_m;   /* path: the farthest place on this leg that the body has reached */
@@ -44,7 +44,7 @@ struct mo_track {
   struct mo_tally tally;
 };
 
-/* What a rollout knows besides its track. */
+/* What is known about a rollout besides its track. */
 struct mo_observed {
   double work_j;          /* measure work_j without rounding; unused by tasks that do not need it */
   const double *measures; /* (MO_MEASURES) of which those of mo_task_measures count, without
@@ -78,8 +78,8 @@ void mo_course_light(const struct mo_course *course, double t_s, const struct mo
 void mo_course_finish(const struct mo_course *course, const struct mo_track *track,
                       const struct mo_observed *observed, struct mo_outcome *outcome);
 
-/* Returns the loss that gradients are of: that of mo_course_finish, with a smooth maximum in place
- * of the largest height. */
+/* Returns the loss that gradients differentiate: that of mo_course_finish, with a smooth maximum in
+ * place of the largest height. */
 double mo_course_soft_loss(const struct mo_course *course, const struct mo_track *track,
                            const struct mo_observed *observed);
 

@@ -76,7 +76,7 @@ static void progress_back(const struct mo_track *track, struct mo_course_adjoint
   adjoint->d_along = 0;
 }
 
-/* Displacement less the floor, per work: the part through the displacement. */
+/* For displacement minus the floor, per work: adds the part through the displacement. */
 static void add_efficiency(double slope, const struct mo_course *course, const double com_m[3],
                            double work_j, double d_com[3])
 {
@@ -128,7 +128,7 @@ static void term_end_back(const struct mo_course *course, const struct mo_track 
     break;
   case MEASURE(MEAN_HEIGHT): *d_sum_at(course, adjoint, HEIGHT) += slope / n; break;
   case MEASURE(WORK): adjoint->d_work += slope; break;
-  default: break; /* mo_task_check_gradient refuses it */
+  default: break; /* mo_task_check_gradient rejects it */
   }
 }
 

@@ -8,7 +8,7 @@
 #include "rollout/course.h"
 #include "rollout/distance.h"
 
-/* What objectives and measures add up. Of a single objective, struct mo_track has the sum. */
+/* What objectives and measures add up. For a single objective, struct mo_track has the sum. */
 enum { WAY, AWAY, OFF, PATH, HEIGHT, SUMS };
 _Static_assert(SUMS == sizeof(((struct mo_tally *)0)->sums) / sizeof(double), "one place each");
 
@@ -129,7 +129,7 @@ static inline double work_kj(double work_j)
 /* Places the light in x and y. */
 void mo_course_light_xy(const struct mo_course *course, double t_s, const struct mo_track *track,
                         double light_m[2]);
-/* From the track's leg, its nearest place, to the center of mass. */
+/* Computes the vector from the nearest point of the track's leg to the center of mass. */
 void mo_course_off_path(const struct mo_course *course, const struct mo_track *track,
                         double off_m[2]);
 /* Returns whether the height at an instant counts for a jump. */

@@ -14,7 +14,7 @@ static inline uint32_t mo_damage_step(const struct mo_environment *environment,
 {
   if (environment->damage.cut == 0)
     return UINT32_MAX;
-  /* A time that is a multiple of the step is one in spite of rounding. */
+  /* A time that is a multiple of the step must count as one despite rounding. */
   const double steps = ceil(environment->damage.time_s / scheme->dt_s - 1e-6);
   return steps < UINT32_MAX ? (uint32_t)steps : UINT32_MAX;
 }
@@ -33,7 +33,7 @@ static inline bool mo_damage_lasts(const uint8_t *cut, uint32_t cut_step, uint32
 static inline void mo_damage_mark(const struct mo_environment *environment,
                                   const struct mo_body *body, uint8_t *cut)
 {
-  uint32_t middle_2[3]; /* twice the middle, in voxels; a midpoint counts twice, too */
+  uint32_t middle_2[3]; /* twice the middle, in voxels; midpoints are doubled, too */
   for (uint32_t axis = 0; axis < 3; axis++) {
     uint32_t low = UINT16_MAX, high = 0;
     for (uint32_t m = 0; m < body->n_masses; m++) {

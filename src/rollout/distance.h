@@ -4,7 +4,7 @@
 
 /* Returns the length of (dx, dy), within one unit of the last place. The hypot of C libraries may
  * differ in that place. This function has the same bits everywhere, because losses and the clipping
- * of a training depend on them. */
+ * during training depend on them. */
 double mo_distance(double dx_m, double dy_m);
 
 #endif

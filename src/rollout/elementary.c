@@ -1,5 +1,5 @@
-/* elementary.c: sin, exp and log computed only with IEEE operations (fast.h). They are in a file of
- * their own, so that programs that run no kernel link no kernel. */
+/* elementary.c: sin, exp and log computed only with IEEE operations (fast.h). They are in their own
+ * file, so that programs that run no kernel link no kernel. */
 #include "rollout/fast.h"
 
 #include <math.h>

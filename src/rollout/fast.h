@@ -53,7 +53,7 @@ struct mo_fast_run {
   const struct mo_physics *physics;
   uint32_t control_steps, first_step;      /* in a control period; what the block begins with */
   const struct mo_state *from;             /* (n_environments); NULL: the usual start */
-  struct mo_state *to;                     /* (n_environments); NULL: not wanted */
+  struct mo_state *to;                     /* (n_environments); NULL: not requested */
   struct mo_constants constants[MO_LANES]; /* of the environments */
   const struct mo_recording *recordings;
   const struct mo_measuring *measuring;   /* NULL: no measures */
@@ -77,7 +77,8 @@ struct mo_fast_run {
   void *sensor;          /* (n_masses, lanes) */
   void *hidden;          /* (2, lanes, 256) */
   void *activation;      /* (lanes, panel) */
-  bool keeps;    /* activations outlast their step: a control period, `split`, measures, states */
+  bool keeps;    /* activations outlive their step: for a control period, `split`, measures or
+                    states */
   bool blends;   /* `split`, or for measures */
   void *held;    /* (n_panels · panel, lanes) the latest activations; one panel's if not kept */
   void *blended; /* (panel, lanes) the mean of new and previous activations, if it blends */
@@ -90,7 +91,7 @@ struct mo_fast_run {
   void *turn_rows;      /* (n_masses, 2) reals: what the yaw needs of `rows` */
   void *inverse_rest;   /* (n_springs) 1 / rest length */
   uint32_t *corners;    /* (n_voxels, 8) offsets of the masses in the arrays of positions */
-  uint32_t *inverted;   /* (n_voxels) bits of the lanes: inverted at the instant before */
+  uint32_t *inverted;   /* (n_voxels) bits of the lanes: inverted at the previous instant */
 };
 
 /* ---- gradients ---- */
@@ -141,8 +142,8 @@ mo_gradient_function *mo_gradient_find(enum mo_isa isa);
 uint32_t mo_isa_vector_bytes(enum mo_isa isa);
 
 /* Compute sin, exp and the natural logarithm from only IEEE operations, so that the bits do not
- * depend on which variant the C library chooses for the processor. Within 2 ulp of the exact value
- * for |x| ≤ 1e6, −700 ≤ x ≤ 0 and normal x > 0 respectively. */
+ * depend on which variant the C library chooses for the CPU. Within 2 ulp of the exact value for
+ * |x| ≤ 1e6, −700 ≤ x ≤ 0 and normal x > 0 respectively. */
 double mo_fast_sin(double x);
 double mo_fast_exp(double x);
 double mo_fast_log(double x);

@@ -125,7 +125,7 @@ static double norm(const double *x, size_t n)
   return sqrt(sum);
 }
 
-/* Begins the backward pass of other tasks than plain ones. */
+/* Begins the backward pass of tasks other than plain ones. */
 static void start_at_end(struct gradient *g)
 {
   const struct mo_course *course = &g->reference.course;
@@ -135,7 +135,8 @@ static void start_at_end(struct gradient *g)
   mo_adjoint_start_at(&g->reference, d_com, &g->adjoint);
 }
 
-/* Restarts it after step number `step`, before which the center of mass was at com_m. */
+/* Restarts the backward pass after step number `step`, before which the center of mass was at
+ * com_m. */
 static void restart(struct gradient *g, uint32_t step, const double com_m[3])
 {
   const struct mo_reference *r = &g->reference;

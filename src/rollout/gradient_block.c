@@ -135,7 +135,7 @@ static int by_size(const void *a, const void *b)
 /* Groups bodies of similar size: small ones share the few springs that all of them have, instead of
  * adding their own springs to the blocks of large ones. Measured on 256 random bodies: 108 tiles
  * per block instead of 172. Searching for the pairs with the largest overlap gains almost nothing
- * more. The largest bodies come first, so that no worker still has one at the end. */
+ * beyond that. The largest bodies come first, so that no worker still has one at the end. */
 int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order)
 {
   struct place *places = malloc((n > 0 ? n : 1) * sizeof(*places));

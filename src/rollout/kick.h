@@ -31,7 +31,7 @@ static inline double mo_kick_bend(const struct mo_scheme *scheme,
   return (mo_kick_mean(-x, 1 / sqrt(decay)) - 1) * 2 / scheme->dt_s;
 }
 
-/* decay: exp(−drag · dt), which kernels compute on their own. */
+/* decay: exp(−drag · dt), which kernels compute themselves. */
 static inline struct mo_kick mo_kick_of(const struct mo_scheme *scheme,
                                         const struct mo_constants *constants, double decay)
 {

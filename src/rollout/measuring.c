@@ -10,7 +10,7 @@
 
 #define BIT(name) (UINT32_C(1) << MO_MEASURE_##name)
 
-/* Below this way, what divides by it or points along it is noise. */
+/* Below this distance, anything that divides by it or points along it is noise. */
 #define LEAST_WAY_M 0.01
 
 unsigned mo_observations(uint32_t set)
@@ -76,7 +76,7 @@ void mo_observer_pose(struct mo_observer *observer, const struct mo_pose *pose)
 
 /* The yaw passes π where the second component of `turn` changes its sign and the first is below 0:
  * between two instants the body turns by less than half a turn, so the sign of the cross product is
- * the way it goes. */
+ * the direction of its turn. */
 static int turns_between(const double from[2], const double to[2])
 {
   if ((from[1] < 0) == (to[1] < 0))

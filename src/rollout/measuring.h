@@ -1,6 +1,6 @@
-/* measuring.h: the measures of one rollout, from what the reference and the kernels of processors
- * observe: sums in float64, and what the measures are of them. docs/model.md has the definitions.
- * Internal to this room.
+/* measuring.h: the measures of one rollout, from what the reference and the CPU kernels observe:
+ * sums in float64, and the measures computed from them. docs/model.md has the definitions. Internal
+ * to this room.
  *
  * The control periods that start at t_0 = 0, t_1, …, t_{K−1}, and the end, t_K, are the instants.
  */
@@ -21,7 +21,7 @@ unsigned mo_observations(uint32_t set);
 /* The same for a task, and for measures (nullable). */
 unsigned mo_observations_for(const struct mo_task *task, const struct mo_measuring *measuring);
 
-/* The part of a body's state at an instant that its motion is measured by. */
+/* The part of a body's state at an instant from which its motion is measured. */
 struct mo_pose {
   double com_m[3];
   double turn[2]; /* F_xx + F_yy and F_yx − F_xy, where F is the linear map that takes the body at
@@ -53,7 +53,7 @@ void mo_observer_begin(struct mo_observer *observer, const struct mo_body *body,
                        const struct mo_environment *environment, const struct mo_physics *physics,
                        const double com_start_m[3], const double light_xy_m[2]);
 
-/* Gives the start a pose: that of a body at rest was assumed. */
+/* Sets the pose at the start, in place of the assumed pose of a body at rest. */
 void mo_observer_pose(struct mo_observer *observer, const struct mo_pose *pose);
 
 /* Continues to an instant after the start. */

@@ -91,8 +91,8 @@ static void observe_springs(struct mo_reference_measures *m, const struct mo_ref
   }
 }
 
-/* Counts the voxels whose mean edges along x, y and z are left-handed now and were at the instant
- * before. */
+/* Counts the voxels whose mean edges along x, y and z are left-handed now and were at the previous
+ * instant. */
 static void observe_voxels(struct mo_reference_measures *m, const struct mo_body *body,
                            const double *position_m)
 {

@@ -7,13 +7,13 @@
 
 /* All zero: no measures. */
 struct mo_reference_measures {
-  uint32_t set, wanted; /* what is observed; what `values` gets */
-  double *values;       /* where those of the set go; NULL: the task needs them, nobody else */
+  uint32_t set, wanted;         /* what is observed; what `values` gets */
+  double *values;               /* where those of the set go; NULL: only the task needs them */
   double observed[MO_MEASURES]; /* without rounding */
   struct mo_observer observer;
   double (*rows)[3];    /* (n_masses) mo_measuring_frame */
   uint8_t (*halves)[2]; /* (n_masses) mo_measuring_halves */
-  bool *inverted;       /* (n_voxels) at the instant before */
+  bool *inverted;       /* (n_voxels) at the previous instant */
   bool touches;         /* the terrain, in the step before */
 };
 
@@ -32,7 +32,7 @@ void mo_reference_measures_done(struct mo_reference_measures *measures);
 void mo_reference_observe(struct mo_reference_measures *measures,
                           const struct mo_reference *reference, uint32_t step);
 
-/* Writes the measures that are wanted. Returns all of them without rounding, valid as long as
+/* Writes the measures that are requested. Returns all of them without rounding, valid as long as
  * `measures`; NULL: nothing was observed. */
 const double *mo_reference_measures_finish(struct mo_reference_measures *measures,
                                            const struct mo_reference *reference,

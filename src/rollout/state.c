@@ -51,7 +51,7 @@ void mo_state_free(struct mo_state *state)
   *state = (struct mo_state){0};
 }
 
-/* ---- what must stay ---- */
+/* ---- what must not change ---- */
 
 static void hash(const struct mo_fields *fields, unsigned version, const void *settings,
                  uint8_t bytes[MO_STATE_KEY_BYTES])
@@ -114,7 +114,7 @@ static bool continues(const struct mo_state *from, const struct mo_environment *
 static bool is_within(const double *numbers, size_t n, double limit)
 {
   for (size_t i = 0; i < n; i++)
-    if (!(fabs(numbers[i]) <= limit)) /* not-a-number is not */
+    if (!(fabs(numbers[i]) <= limit)) /* false for NaN */
       return false;
   return true;
 }

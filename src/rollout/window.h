@@ -1,5 +1,5 @@
-/* window.h: where in a rollout a window is, and how its task and its measures go on. The reference,
- * the kernels of processors and the writer of scenes share it. Internal to this room and to the
+/* window.h: where in a rollout a window is, and how its task and its measures continue. The
+ * reference, the CPU kernels and the writer of scenes share it. Internal to this room and to the
  * writer. */
 #ifndef MORPHO_ROLLOUT_WINDOW_H
 #define MORPHO_ROLLOUT_WINDOW_H
@@ -9,7 +9,7 @@
 #include "rollout/course.h"
 #include "rollout/measuring.h"
 
-/* Which steps of the rollout a window has: from first_step up to, but without, end_step. */
+/* Which steps of the rollout a window has: from first_step up to, but excluding, end_step. */
 struct mo_window {
   uint32_t first_step, end_step;
   uint32_t control_steps; /* in a control period */
@@ -17,7 +17,7 @@ struct mo_window {
 /* from: a checked state, or NULL. control_steps is 0 if the period is invalid. */
 struct mo_window mo_window_of(const struct mo_scheme *scheme, const struct mo_state *from);
 
-/* mo_state_check, and whether a tally that goes on has observed what is to be observed now. */
+/* mo_state_check, and whether a tally that continues has observed what is to be observed now. */
 int mo_window_check(const struct mo_state *from, const struct mo_body *body,
                     const struct mo_environment *environment, const struct mo_physics *physics,
                     enum mo_precision precision, unsigned observations, struct mo_message *message);
@@ -43,7 +43,7 @@ void mo_window_observer(const struct mo_window *window, const struct mo_state *f
                         const struct mo_physics *physics, const double com_start_m[3],
                         struct mo_observer *observer);
 
-/* Write a tally. `observed`: what counts of the observer; its springs are up to the caller. */
+/* Write a tally. `observed`: the parts of the observer to write; the caller writes its springs. */
 void mo_window_save_track(const struct mo_track *track, struct mo_state_tally *tally);
 void mo_window_save_observer(const struct mo_observer *observer, unsigned observed,
                              struct mo_state_tally *tally);
