@@ -1,5 +1,5 @@
 /* controller.c: a controller's packs, one per precision, made when a block first needs them.
- * Devices own their copies of the weights until it is freed. */
+ * Devices own their copies of the weights until the controller is freed. */
 #include "compute/devices.h"
 
 #include <stdlib.h>

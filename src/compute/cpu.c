@@ -85,8 +85,8 @@ static void follow_trims(struct worker *worker)
   worker->gradient = NULL;
 }
 
-/* A block that runs on a worker. It is charged for processor time, so that other threads on the
- * same cores do not count, minus the time of urgent blocks inside it. The counters of the share are
+/* A block that runs on a worker. It is charged for CPU time, so that other threads on the same
+ * cores do not count, minus the time of urgent blocks inside it. The counters of the share are
  * updated at every pause point, so that a long block counts before it ends. */
 struct run {
   struct worker *worker;

@@ -8,7 +8,7 @@
  * `lay_out`, `layout_free`, `allocate`, `release` and `controller_free` may be called from any
  * thread, even during a call on a device.
  *
- * The caller has checked the arguments; a module refuses only what its kernels do not support.
+ * The caller has checked the arguments; a module rejects only what its kernels do not support.
  *
  * Same bits: the outcome of a row depends only on its body, environment, controller, physics and
  * the device's compute capability, not on its neighbors in the call or the device's number. Two

@@ -97,7 +97,7 @@ static int open_unit(struct mo_devices *devices, struct mo_unit *unit, uint32_t 
   return status;
 }
 
-/* Refuses a device whose bits would differ from the devices opened before it. */
+/* Rejects a device whose bits would differ from the devices opened before it. */
 static int check_class(const struct mo_devices *devices, struct mo_unit *unit)
 {
   const struct mo_device_status *first = &devices->units[0].status, *status = &unit->status;

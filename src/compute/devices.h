@@ -1,8 +1,8 @@
 /* devices.h: the devices of a back end, for the files of this room.
  *
- * Each device has three threads: two callers, each inside the module with a chunk of its own, and
- * the gatherer, which collects the next chunk and builds its bodies. The mutex of the fair queue
- * guards everything here, unless a comment says otherwise. */
+ * Each device has three threads: two callers, each inside the module with its own chunk, and the
+ * gatherer, which collects the next chunk and builds its bodies. The mutex of the fair queue guards
+ * everything here, unless a comment says otherwise. */
 #ifndef MORPHO_COMPUTE_DEVICES_H
 #define MORPHO_COMPUTE_DEVICES_H
 

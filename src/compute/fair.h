@@ -10,7 +10,7 @@
  *
  * The queue's own virtual time is the largest at which a block was started. A share that had an
  * empty queue continues from its own virtual time, but at most MO_FAIR_CREDIT_S of worker time per
- * worker behind the queue's. So short gaps (between two steps of a training or two refills of a
+ * worker behind the queue's. So short gaps (between two steps of a training run or two refills of a
  * window) cost a share nothing, and a long idle time earns it nothing. A share that is ahead stays
  * ahead. The same rule limits a share that cannot use its part because it never has enough
  * blocks. */

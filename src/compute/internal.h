@@ -8,8 +8,8 @@
 
 #include "base/thread.h"
 
-/* Part of every fingerprint: raise it by one whenever a change to the fast path changes any bit of
- * a result. tests/unit/rollout/bits.c detects such a change. */
+/* Part of every fingerprint: increment it whenever a change to the fast path changes any bit of a
+ * result. tests/unit/rollout/bits.c detects such a change. */
 #define MO_KERNEL_VERSION 2
 /* The same for gradients: tests/unit/rollout/gradient-bits.c detects changed bits of a block,
  * tests/unit/compute/gradient.c a changed order of adding blocks. */

@@ -14,7 +14,7 @@ struct mo_rates {
   uint32_t n;
   uint64_t n_added;                  /* additions so far */
   uint64_t newest[MO_RATES_MAX];     /* number of the newest addition to each row */
-  struct mo_rate rows[MO_RATES_MAX]; /* a new kind of work replaces the row that is oldest in use */
+  struct mo_rate rows[MO_RATES_MAX]; /* a new kind of work replaces the least recently used row */
 };
 
 /* Adds to the row of the same kind: the first members of `work`, up to control_period_s. */

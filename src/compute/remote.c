@@ -197,7 +197,7 @@ bool mo_taken_is_cancelled(const struct mo_taken *taken)
 }
 
 /* Under the mutex. Returns whether all devices of the queue are lost: their threads have ended the
- * waiting work, and do not look at the queue again. */
+ * waiting work, and will not read the queue again. */
 static bool is_lost(const struct mo_compute *compute, const struct taken *taken)
 {
   const struct mo_devices *devices = mo_core(compute)->devices;

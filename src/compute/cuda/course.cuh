@@ -1,9 +1,9 @@
 /* course.cuh: rollout/course.c for a device: the task of one rollout, computed by one lane, with
  * the functions and structures of course.h. course_back.cuh has what gradients need besides.
  *
- * The operations are those of course.c in the same order, in float64, which devices round like
- * processors: the same centers of mass give the same bits. A test without a device compares them;
- * this file is also valid C17. It must be compiled without contraction (nvcc -fmad=false). */
+ * The operations are those of course.c in the same order, in float64, which devices round as CPUs
+ * do: the same centers of mass give the same bits. A test without a device compares them; this file
+ * is also valid C17. It must be compiled without contraction (nvcc -fmad=false). */
 #ifndef MORPHO_COMPUTE_CUDA_COURSE_CUH
 #define MORPHO_COMPUTE_CUDA_COURSE_CUH
 
@@ -31,7 +31,7 @@ extern "C" {
 #define MO_COURSE_TRAVEL_M     1.0 /* the units of losses */
 #define MO_COURSE_CLIMB_M      0.1
 
-/* ---- functions of the processors' files that devices cannot call ---- */
+/* ---- functions of the CPU's files that devices cannot call ---- */
 
 /* As mo_task_is_plain. */
 MO_COURSE bool course_is_plain(const struct mo_task *task)
@@ -288,7 +288,7 @@ MO_COURSE void course_advance(const struct mo_course *course, double t_s, const 
 
 /* ---- the tally of other objectives and of sums, of which the host makes the result ---- */
 
-/* What tallies add up, as in course.c; PEAK is no sum. */
+/* What tallies add up, as in course.c; PEAK is not a sum. */
 enum { COURSE_WAY, COURSE_AWAY, COURSE_OFF, COURSE_PATH, COURSE_HEIGHT, COURSE_PEAK };
 
 /* Returns whether a task has a tally. */

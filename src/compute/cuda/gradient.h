@@ -23,7 +23,7 @@ void mo_cuda_gradient_layout_free(struct mo_device_layout *layout);
 void *mo_cuda_gradient_allocate(const struct mo_device *device, size_t bytes);
 void mo_cuda_gradient_release(void *memory);
 
-/* Releases device memory that others need. The next call allocates it again. */
+/* Releases device memory that other work needs. The next call allocates it again. */
 void mo_cuda_gradient_trim(struct mo_device *device);
 
 /* Whether groups of 32 robots are computed in halves, by two blocks each, which does not change the

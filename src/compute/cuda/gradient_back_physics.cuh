@@ -502,7 +502,7 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
 #pragma unroll
       for (int i = 0; i < N; i++)
         later[i] = PERIODIC ? load_if(adds, sums + 32 * (c + i)) : 0.0f;
-      int16_t old[N]; /* activations of the control period before */
+      int16_t old[N]; /* activations of the previous control period */
       if (SPLIT && blend) {
 #pragma unroll
         for (int i = 0; i < N; i++)
@@ -526,7 +526,7 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
         if (TASKS && (cut >> i & is_broken >> MO_GP_SPRING_ROW(s) & 1u) != 0)
           d_wanted = dd[0] = dd[1] = dd[2] = 0.0f;
         float d_activation = d_wanted * (lane_rest(MO_GP_SPRING_DIAGONAL(s)) * actuation);
-        if (SPLIT && blend) { /* half belongs to the period before */
+        if (SPLIT && blend) { /* half belongs to the previous period */
           d_activation *= 0.5f;
           store(sums + 32 * (c + i), d_activation);
           d_activation += later[i];
@@ -652,7 +652,7 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
     }
   }
 
-  /* The velocities' adjoints back through the kick, in a step without sensors. */
+  /* Takes the velocities' adjoints back through the kick, in a step without sensors. */
   __device__ __forceinline__ void kick_back(uint32_t step)
   {
     pair_sync(); /* the other warp's springs have read them */
@@ -682,7 +682,7 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
     to.gyz = make_float2(lane_kick_back(&physics, dv[1]), lane_kick_back(&physics, dv[2]));
   }
 
-  /* To the mass's adjoint, whose velocity then goes back through the kick. */
+  /* Adds the light's part to the mass's adjoint, then takes its velocity back through the kick. */
   __device__ __forceinline__ void push_back(uint32_t step, int m, float d, const float (&mean)[2],
                                             light_sums<TASKS> &d_light)
   {

@@ -411,7 +411,7 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
     float4 here = x[first + (at == MO_GP_NO_MASS ? 0 : at)];
     float pull = constants_of(s).pull, actuation = constants_of(s).actuation, sum[3] = {0, 0, 0};
     for (int c = 0;; c += N) {
-      int16_t old[N]; /* activations of the control period before */
+      int16_t old[N]; /* activations of the previous control period */
       if (SPLIT && blend) {
 #pragma unroll
         for (int i = 0; i < N; i++)
@@ -473,7 +473,7 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
     return lane_kick(&of, axis, u, -0.0f);
   }
 
-  /* The state after the step. Returns false if it is not valid. */
+  /* Stores a mass's state after the step. Returns false if it is not valid. */
   __device__ __forceinline__ bool leave(int m, const float *p, const float *u)
   {
     x[first + m] = make_float4(p[0], p[1], p[2], 0);

@@ -36,7 +36,7 @@ static __device__ __forceinline__ void keep_track(const guided_row &row, const m
 static __device__ __forceinline__ void keep_adjoint(const guided_row &row,
                                                     const mo_course_adjoint &adjoint)
 {
-  __syncwarp(); /* all lanes have read the one before */
+  __syncwarp(); /* all lanes have read the previous one */
   if (threadIdx.x % 32 == 0)
     row.ending->adjoint = adjoint;
   __syncwarp();

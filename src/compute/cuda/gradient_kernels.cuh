@@ -72,7 +72,7 @@ struct mo_gk {
   bool splits;            /* the integrator is `split` */
   uint32_t *tickets;      /* tasks handed out, then (by MO_GK_WALK) parts done; 0 before a launch */
   const volatile int *cancel; /* not 0: stop soon. On the device, because the host's memory is read
-                               * so slowly (1.3 µs each, one after the other) that products waited
+                               * so slowly (1.3 µs each, one after another) that products waited
                                * three times as long for it as they took */
   const struct mo_gp_course *courses; /* (n_rows); NULL: no row is special */
   struct mo_gk_ending *endings;       /* (n_rows) */
@@ -183,7 +183,7 @@ struct guided_row {
   const mo_gp_course *task; /* NULL: the row is plain, or empty */
   mo_gk_ending *ending;
   mo_track *track; /* of the instant */
-  uint32_t stride; /* back to the instant before */
+  uint32_t stride; /* back to the previous instant */
 };
 
 /* The walk of a block: a group, in which each warp has a pair (SHARE 1), two rows of 32 or one of
@@ -297,7 +297,7 @@ template <int MT, int SHARE, int TIME> struct walker {
     return !PERIODIC || (step + 1) % k.control_steps == 0 || step + 1 == k.n_steps;
   }
 
-  /* Whether a step has new outputs, which the springs blend with the ones before. */
+  /* Whether a step has new outputs, which the springs blend with the previous ones. */
   __device__ __forceinline__ bool blends(uint32_t step) const
   {
     return SPLIT && step > 0 && begins_period(step);

@@ -1,6 +1,5 @@
 /* gradient_plan.c: divides robots into groups, and groups into tables. Several threads form the
- * groups, one shard each; when all are known, and with them the place of each, the threads fill
- * them. */
+ * groups, one shard each; when all groups and their places are known, the threads fill them. */
 #include "compute/cuda/gradient_plan.h"
 
 #include "compute/cuda/course_back.cuh"
@@ -85,7 +84,8 @@ uint32_t mo_gp_shared_bytes(uint32_t n_rows, uint32_t n_masses, uint32_t n_outpu
   const uint32_t forward = n_masses * 29 + 4 * MO_HIDDEN * 3 * MO_HIDDEN_LAYERS,
                  back = n_masses * 36;
   /* For the numbers of the tiles, and for the rows' constants, which are not counted above: more
-   * bytes per row would form other groups of large bodies, and gradients of other bits. */
+   * bytes per row would form different groups of large bodies, and gradients with different
+   * bits. */
   _Static_assert(MO_GP_ROWS_MAX * sizeof(struct lane_constants) + 144 <= 1024, "they fit");
   return rows + (forward > back ? forward : back) + 1024;
 }

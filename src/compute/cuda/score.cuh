@@ -64,7 +64,7 @@ struct mo_cuda_measures {
   const mo_plan_voxels *voxels;
   const mo_plan_corners *corners;
   mo_observed_row *observed; /* by the caller's row */
-  float *lengths;            /* (blocks, max_lengths) of the period before */
+  float *lengths;            /* (blocks, max_lengths) of the previous period */
   uint32_t *inverted;        /* (blocks, MO_PLAN_ROWS_MAX, MO_PLAN_VOXEL_WORDS) voxels, as bits */
   uint32_t max_lengths;
 };

@@ -1,7 +1,7 @@
-/* score_guide.cuh: what special rows have, and others have not: profiles, damage, and tasks. The
- * tasks of a group's rows (course.cuh) are computed in float64, by one thread per row. That runs at
- * the start of each control period, before the sensors are read, with the center of mass that
- * sensing finds. Rows with a plain task are left out; plain rows keep their bits next to others.
+/* score_guide.cuh: what only special rows have: profiles, damage, and tasks. The tasks of a group's
+ * rows (course.cuh) are computed in float64, by one thread per row. That runs at the start of each
+ * control period, before the sensors are read, with the center of mass that sensing finds. Rows
+ * with a plain task are left out; plain rows stay bit-identical next to special ones.
  *
  * All threads of a block call these functions, which are not inlined: the steps of the kernel need
  * all registers. They read the call and the group from shared memory. */

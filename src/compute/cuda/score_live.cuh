@@ -2,12 +2,12 @@
  *
  * A block takes a group of rows and simulates it from the first step to the last, then takes the
  * next group. Positions, activations and the springs' lengths stay in shared memory; velocities are
- * in global memory of the block's own, and rarely leave the caches. A step:
+ * in the block's own global memory, and rarely leave the caches. A step:
  *   sense    sixteen lanes per row: the light's mean, then the inputs of the first layer
- *   think    three hidden layers, then tiles of springs: the length that each wants to have. In a
- *            step that starts no control period, sense finds the center of mass, think is left out
+ *   think    three hidden layers, then tiles of springs: the target length of each. In a
+ *            step that starts no control period, sense finds the center of mass; think is skipped
  *   pull     a thread per mass and row adds its springs up, each seen from both of its ends: no two
- *            threads write one number
+ *            threads write the same number
  *   move     the same thread moves the mass
  * A row's numbers are computed from its own inputs in a fixed order, regardless of its place.
  *
@@ -16,7 +16,7 @@
  * (score_think_narrow.cuh, which is included first). For capability 9.0: 512 threads and at most 80
  * rows, for which the weights are loaded once, not twice (score_think_wide.cuh). Launches in which
  * some row is special, with a task, a profile or damage, or in which all rows are measured, have
- * kernels of their own (MO_CUDA_TASKS, score_guide.cuh, score_observe.cuh). */
+ * their own kernels (MO_CUDA_TASKS, score_guide.cuh, score_observe.cuh). */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 

@@ -201,7 +201,7 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
   }
 }
 
-/* Contact with `split`; before: the velocity at the end of the step before. */
+/* Contact with `split`; before: the velocity at the end of the previous step. */
 __device__ __forceinline__ void move_split(const lane_physics &k, const mo_plan_environment &in,
                                            const lane_terrain &terrain, const float4 &kick,
                                            const float3 &before, float (&p)[3], float (&v)[3])

@@ -59,8 +59,8 @@ __device__ __forceinline__ Observed observed_row(const Shared &shared, const Mem
                   memory.position + 3 * row.first_place, threadIdx.x & 31};
 }
 
-/* Positions count from the first mass: they are then so small that sums in float32 lose nothing
- * that counts. up: only at the end of a rollout. */
+/* Positions are relative to the first mass, and therefore so small that float32 sums lose nothing
+ * that matters. up: only at the end of a rollout. */
 template <bool UP>
 __device__ __forceinline__ void pose_of(const mo_cuda_measures &k, const Observed &o,
                                         float (&turn)[2], float (&up)[3])
@@ -84,13 +84,13 @@ __device__ __forceinline__ void pose_of(const mo_cuda_measures &k, const Observe
       up[i] = sum_of_warp(up[i]);
 }
 
-/* What a row's springs are like at an instant. */
+/* The state of a row's springs at an instant. */
 struct Stretch {
   float strain, energy;
 };
 
 /* Visits each spring from the end with the smaller number; links that fill up a set of four lead
- * from a mass to itself. before: the lengths of the period before, or NULL. */
+ * from a mass to itself. before: the lengths of the previous period, or NULL. */
 __device__ __forceinline__ Stretch stretch_of(const mo_cuda_score &score, const Memory &memory,
                                               const float *before, const Observed &o, uint32_t cut)
 {
@@ -140,7 +140,7 @@ __device__ __forceinline__ bool is_inverted(const Observed &o, const mo_plan_cor
          0.0f;
 }
 
-/* Returns the number of voxels that are inverted now and were at the instant before. */
+/* Returns the number of voxels that are inverted now and were at the previous instant. */
 __device__ __forceinline__ uint32_t count_inverted(const mo_cuda_measures &k, const Observed &o,
                                                    uint32_t r, bool is_first)
 {

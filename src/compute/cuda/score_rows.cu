@@ -30,7 +30,7 @@ uint32_t rows_wanted(uint32_t n, uint32_t blocks, uint32_t most)
   return (uint32_t)((rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN * MO_PLAN_COLUMN);
 }
 
-/* Returns the number of threads that pay off for a plan. */
+/* Returns the number of threads that are worthwhile for a plan. */
 uint32_t threads_for(const mo_plan &plan)
 {
   const uint32_t processors = std::max(1u, std::thread::hardware_concurrency());
