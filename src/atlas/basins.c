@@ -1,8 +1,8 @@
 /* basins.c: where steepest ascent ends, for all bodies.
  *
  * Removing a voxel is the reverse of adding it, so each pair of neighbors is found once, from its
- * larger body, which has few voxels to remove, and each of the two learns of the other. Then, the
- * best first, each body has the optimum of its best neighbor, which is better and so known. */
+ * larger body, which has few voxels to remove, and recorded for both. Then, best first, each body
+ * gets the optimum of its best neighbor, which is better and therefore already known. */
 #include "atlas/index.h"
 #include "atlas/neighbors.h"
 #include "base/memory.h"
@@ -11,7 +11,7 @@
 #include <stdlib.h>
 
 #define NONE      UINT32_MAX
-#define PER_CHECK 4096 /* bodies between two looks at `cancel` */
+#define PER_CHECK 4096 /* bodies between two checks of `cancel` */
 
 struct mo_atlas_basins {
   uint64_t n, n_optima;
@@ -50,7 +50,7 @@ static int find_best(const struct mo_atlas *atlas, const volatile int *cancel, u
   return MO_OK;
 }
 
-/* Replaces each body's best neighbor by its optimum. */
+/* Replaces each body's best neighbor with its optimum. */
 static void follow(struct mo_atlas_basins *basins, const struct mo_atlas_index *index)
 {
   for (uint64_t i = 0; i < basins->n; i++) {

@@ -53,7 +53,7 @@ void mo_atlas_bodies_free(struct mo_atlas_bodies *bodies)
   free(bodies);
 }
 
-/* Holds the keys of another size. */
+/* Switches to the keys of a different size. */
 static int turn_to(struct mo_atlas_bodies *bodies, uint32_t n_voxels)
 {
   uint64_t *keys = NULL;

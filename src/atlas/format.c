@@ -38,7 +38,7 @@ void mo_atlas_layout_fill(const struct mo_atlas_head *head, struct mo_atlas_layo
 
 struct mo_atlas_block mo_atlas_block_of(const struct mo_atlas_layout *layout, uint64_t i)
 {
-  uint32_t size = 0; /* less 1 */
+  uint32_t size = 0; /* minus 1 */
   while (i >= layout->blocks[size + 1])
     size++;
   const uint64_t before = (i - layout->blocks[size]) * MO_ATLAS_BLOCK;

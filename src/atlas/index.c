@@ -217,7 +217,7 @@ void mo_atlas_footprints(const struct mo_atlas *atlas,
     uint64_t key;
     const uint32_t n_voxels = mo_atlas_key_at(atlas, i, &key);
     mo_atlas_key_voxels(&atlas->sets, key, n_voxels, voxels);
-    for (uint32_t v = 1; v < n_voxels; v++) /* the voxels of a column follow each other */
+    for (uint32_t v = 1; v < n_voxels; v++) /* the voxels of a column are consecutive */
       columns += voxels[v] / nz != voxels[v - 1] / nz;
     struct mo_atlas_footprint *footprint = &footprints[columns];
     if (footprint->bodies++ == 0 ||

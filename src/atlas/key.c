@@ -25,7 +25,7 @@ void mo_atlas_key_voxels(const struct mo_atlas_sets *sets, uint64_t key, uint32_
                          uint32_t *voxels)
 {
   uint64_t later = sets->of[sets->voxels][n] - 1 - key;
-  uint32_t left = sets->voxels; /* indices after the one before */
+  uint32_t left = sets->voxels; /* indices after the previous one */
   for (uint32_t i = 0; i < n; i++) {
     do
       left--;

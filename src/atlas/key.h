@@ -9,9 +9,9 @@
 
 #include <morpho/atlas.h>
 
-/* of[v][n]: the number of sets of n voxels among v (Pascal's triangle). 17 KB that
- * every stream and every open atlas has: with quotients of factorials, making a key would take
- * longer than looking it up. */
+/* of[v][n]: the number of sets of n voxels among v (Pascal's triangle). 17 KB in every stream and
+ * every open atlas: with quotients of factorials instead, computing a key would take longer than
+ * looking it up. */
 struct mo_atlas_sets {
   uint32_t voxels; /* of the workspace */
   uint64_t of[MO_ATLAS_WORKSPACE_MAX + 1][MO_ATLAS_VOXELS_MAX + 1];
@@ -31,7 +31,7 @@ uint32_t mo_atlas_voxels_of(struct mo_workspace workspace, const uint64_t *bits,
 void mo_atlas_bits_of(struct mo_workspace workspace, const uint32_t *voxels, uint32_t n,
                       uint64_t *bits);
 
-/* Sorts by the low `bytes` bytes, ascending; items with equal ones keep their order. scratch:
+/* Sorts by the low `bytes` bytes, ascending; items with equal low bytes keep their order. scratch:
  * (n). */
 void mo_atlas_sort(uint64_t *items, uint64_t *scratch, size_t n, unsigned bytes);
 

@@ -6,8 +6,8 @@
  * before it is ever used. A list has the cells next to the set; each set takes cells from the list
  * in order, and cells that were passed over are never taken later.
  *
- * A set is a body if it is its own canonical form, which one of its at most eight images is. So
- * every body is found exactly once, and only the keys of the bodies are kept, to be sorted. Ten
+ * A set is a body if it is its own canonical form, as exactly one of its at most eight images is.
+ * So every body is found exactly once, and only the keys of the bodies are kept, to be sorted. Ten
  * voxels have 8.3 million sets in the default workspace. */
 #include "atlas/keys.h"
 
@@ -42,7 +42,7 @@ static size_t cell_of(const struct making *making, const int32_t at[3])
          (size_t)at[2];
 }
 
-/* Adds the neighbors of a cell that were not met before to the list, and returns its new length. */
+/* Adds a cell's neighbors that have not been met to the list, and returns its new length. */
 static uint32_t meet(struct making *making, const int32_t at[3], uint32_t length)
 {
   for (int axis = 0; axis < 3; axis++)

@@ -1,9 +1,9 @@
 /* neighbors.c: the bodies that differ from a body by one voxel.
  *
- * A body is at most ten cells with small coordinates. Whether it stays in one piece without a voxel
- * is found in masks of ten bits, and only what remains is made a genotype, whose canonical form is
- * looked up. A changed body may stick out of the workspace on any side and still fit it, moved or
- * turned. */
+ * A body is at most ten cells with small coordinates. Masks of ten bits show whether it stays in
+ * one piece without a voxel, and only bodies that do are turned into genotypes, to look up their
+ * canonical forms. A changed body may stick out of the workspace on any side and still fit when
+ * moved or turned. */
 #include "atlas/neighbors.h"
 
 #include <stdlib.h>
@@ -33,8 +33,8 @@ static bool is_next_to(const int32_t a[3], const int32_t b[3])
 
 /* ---- one changed body ---- */
 
-/* Writes the genotype of cells at the origin, turned if they fit only so. Returns whether they
- * fit. */
+/* Writes the genotype of cells at the origin, turned if they fit only that way. Returns whether
+ * they fit. */
 static bool place(struct mo_workspace workspace, const struct cells *cells,
                   uint64_t bits[MO_DEFAULT_WORDS])
 {

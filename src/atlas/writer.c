@@ -6,9 +6,9 @@
  * crash left behind is either a whole block or cut off, so the file does not depend on where it
  * was interrupted. The lock of PATH.part keeps other writers away, and ends with the process.
  *
- * The bodies of an unfinished block are saved as a block of so many bodies, in the place of the
- * whole one, which later replaces it. A save that fails or is torn loses what was saved of this one
- * block: only whole blocks are safe from later writes. */
+ * The bodies of an unfinished block are saved as a smaller block in the place of the whole one,
+ * which later replaces it. A save that fails or is torn loses what was saved of this one block:
+ * only whole blocks are safe from later writes. */
 #include "atlas/writer.h"
 
 #include "atlas/bodies.h"
@@ -47,7 +47,7 @@ struct mo_atlas_writer {
   size_t beginning_bytes;
 };
 
-/* Of a system call, with its errno. */
+/* Fails with the errno of a system call. */
 static int fail_at(const struct mo_atlas_writer *writer, int error, const char *what,
                    struct mo_message *message)
 {
@@ -101,7 +101,7 @@ static int write_block(struct mo_atlas_writer *writer, const struct mo_atlas_blo
   return error;
 }
 
-/* The beginning of a block as a block of its own. */
+/* Returns the beginning of a block as a separate block. */
 static struct mo_atlas_block some_of(const struct mo_atlas_writer *writer,
                                      const struct mo_atlas_block *block, uint32_t n)
 {
@@ -325,7 +325,7 @@ static size_t take_saved(struct mo_atlas_writer *writer, uint64_t end, uint64_t 
   return is_whole ? some.bytes : 0;
 }
 
-/* Passes the whole blocks and a saved one, and cuts off the rest. */
+/* Skips the whole blocks and a saved one, and cuts off the rest. */
 static int pass_blocks(struct mo_atlas_writer *writer, uint64_t file_bytes)
 {
   const uint64_t blocks = writer->layout.blocks[MO_ATLAS_VOXELS_MAX];

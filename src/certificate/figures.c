@@ -63,7 +63,8 @@ static void score_copies(const struct work *work, uint32_t t, uint32_t design, d
     work->differences[c] = list_score(work, t, design, c);
   struct mo_mean mean = mo_mean_of_units(work->differences, copies, copies, work->scratch);
   score->score = mean.mean;
-  score->interval = mo_mean_interval(&mean, copies + 1.0); /* one more copy, and the mean's own */
+  score->interval = mo_mean_interval(&mean, copies + 1.0); /* the variance of one more copy, plus
+                                                              that of the mean */
   mean.mean -= base_score;
   score->change = mean.mean;
   score->of_change = mo_mean_interval(&mean, copies + 1.0);
@@ -128,7 +129,7 @@ static void rank_designs(uint32_t n, struct mo_trial_score *scores)
 
 /* ---- lists ---- */
 
-/* Sorts designs by their scores, best first, diverged ones last; of equal ones, the earlier first.
+/* Sorts designs by their scores, best first, diverged ones last, ties in their original order.
  * Returns how many have a score. */
 static uint32_t sort_designs(const struct mo_trial_score *scores, uint32_t n, uint32_t *order)
 {

@@ -1,7 +1,7 @@
 /* held_out.c: the fresh worlds of the axis `held_out`.
  *
  * They must be of the base's kind, or the axis would compare two tasks. A set of the suite has a
- * held-out set. The other worlds that can be drawn are those of trainings, so a list has fresh
+ * held-out set. The only other worlds that can be drawn are training worlds, so a list has fresh
  * worlds only if each of its own could be one of them. A list of level ground, of a profile or of
  * lights at other distances has none: nobody knows which others its author would have chosen. */
 #include "certificate/held_out.h"
@@ -14,7 +14,7 @@
 
 #include "base/words.h"
 
-/* As in the worlds of trainings (world/environments.c). */
+/* As in training worlds (world/environments.c). */
 #define LIGHT_NEAR_M 0.4
 #define LIGHT_FAR_M  2.0
 #define ROUGHEST_M   0.13 /* standard deviation of 64 heights; their σ is below 0.1 m */
@@ -38,7 +38,7 @@ static bool is_paper_test(const char *set)
   return strcmp(set, mo_set_words[0]) == 0;
 }
 
-/* Returns whether heights could be drawn for a training. */
+/* Returns whether heights could be drawn for training. */
 static bool is_rough(const double heights_m[MO_TERRAIN_HEIGHTS])
 {
   double lowest_m = heights_m[0], sum = 0, squares = 0;

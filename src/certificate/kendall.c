@@ -2,7 +2,7 @@
  *
  * Tau-b is (concordant − discordant pairs) / sqrt((pairs not tied here) · (pairs not tied there)).
  * Each pair counts in the numbers of both of its designs, so tau without a design is known without
- * another pass: all pairs less its own. Lists have at most 256 designs, so all pairs are compared.
+ * another pass: all pairs minus its own. Lists have at most 256 designs, so all pairs are compared.
  *
  * The interval, which include/morpho/certificate.h defines: a proportion of m independent pairs
  * that agree has Wilson's interval, which in terms of tau is

@@ -6,7 +6,7 @@
 
 #define MO_UNKNOWN_INTERVAL ((struct mo_interval){NAN, NAN})
 
-/* Returns the sum, of halves. */
+/* Returns the sum, as the sum of the sums of both halves. */
 double mo_pairwise_sum(const double *values, uint32_t n);
 /* Returns the t with P(|T| < t) = 0.95 for Student's distribution, to six digits; degrees ≥ 1. */
 double mo_student_t(uint32_t degrees);

@@ -188,7 +188,7 @@ static bool is_stable(const struct mo_certificate_base *base, const struct mo_ph
   return true;
 }
 
-/* Appends a sentence, after "; " if there is one already. */
+/* Appends a sentence, after "; " if there already is one. */
 static void append(struct mo_message *note, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 static void append(struct mo_message *note, const char *format, ...)

@@ -27,7 +27,7 @@ static struct mo_text begin(char text[MO_VERDICT_MAX])
   return (struct mo_text){.data = text, .capacity = MO_VERDICT_MAX, .is_fixed = true};
 }
 
-/* Separates a sentence from the one before. */
+/* Separates a sentence from the previous one. */
 static void next_sentence(struct mo_text *text)
 {
   if (text->size > 0)
@@ -64,7 +64,7 @@ static bool is_of_one(enum mo_axis axis)
   return axis >= MO_AXIS_STIFFNESS && axis <= MO_AXIS_DROP;
 }
 
-/* Returns the last trial of an axis; 0, which is the base: none. */
+/* Returns the last trial of an axis, or 0, the base, if there is none. */
 static uint32_t last_of(const struct mo_trial *trials, uint32_t n_trials, enum mo_axis axis)
 {
   uint32_t found = 0;
@@ -344,7 +344,7 @@ static enum holding holding_of(double tau)
   return tau >= MO_VERDICT_HOLDS ? HOLDS : tau >= MO_VERDICT_PARTLY ? PARTLY : NOT;
 }
 
-/* Collects the trials that the sentence about the order is about. Returns their number. */
+/* Collects the trials that the sentence about the order covers. Returns their number. */
 static uint32_t choose_trials(const struct mo_trial *trials, uint32_t n_trials,
                               const struct mo_trial_list *lists, uint32_t chosen[MO_AXES])
 {
@@ -445,8 +445,8 @@ static void add_means(struct mo_text *text, const struct mo_trial *trials, uint3
   mo_text_add(text, ".");
 }
 
-/* Appends where designs diverge. They are in no mean score, so that one may look the better for
- * them. */
+/* Appends where designs diverge. They are in no mean score, which may therefore look better than it
+ * is. */
 static void add_divergences(struct mo_text *text, const struct mo_trial *trials, uint32_t n_trials,
                             const struct mo_trial_list *lists, uint32_t n_designs)
 {

@@ -1,4 +1,4 @@
-/* pretraining.c: redraws the bodies that a pretraining learned from.
+/* pretraining.c: redraws the bodies that a pretraining run learned from.
  *
  * They are the draws of mo_training_draw: (seed, BODY, 0, i), i = 0, 1, …, without held-out and
  * repeated forms. If `set` is empty and of the default workspace, it also serves to detect

@@ -10,8 +10,8 @@
 
 #include <math.h>
 
-/* Overhead in units of rollouts (docs/performance.md): of a processor per block; of a device per
- * call that waits for another one. */
+/* Overhead in units of rollouts (docs/performance.md): of a CPU per block; of a device per call
+ * that waits for another one. */
 #define BLOCK_LANES    16
 #define BLOCK_ROLLOUTS 2
 #define WAIT_ROLLOUTS  2000

@@ -26,7 +26,7 @@ struct choice {
 /* ---- tournament ---- */
 
 /* Tournament: the best survives. Each further survivor is the best of `tournament_size` draws, with
- * repetition, from the remaining candidates. */
+ * replacement, from the remaining candidates. */
 static int choose_by_tournament(struct choice *choice)
 {
   uint32_t left = choice->n - 1; /* n > places ≥ 1 */

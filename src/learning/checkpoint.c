@@ -1,11 +1,11 @@
-/* checkpoint.c: encodes and decodes a training.
+/* checkpoint.c: encodes and decodes a training run.
  *
  * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the size of the
- * settings (uint32), struct counters, the settings as JSON by their table, in a version of its own
- * the training's environments (struct worlds, then each in its packed form), then designs (24 bytes
- * each), weights (float32), first and second moments (float64 each), and a CRC-64 of everything
- * before it. Decoding trusts nothing: sizes must match to the byte, settings must pass the checks
- * of a new training, and numbers must be finite. */
+ * settings (uint32), struct counters, the settings as JSON by their table, then, with VERSION_OWN,
+ * the training's own environments (struct worlds, then each in its packed form), then designs (24
+ * bytes each), weights (float32), first and second moments (float64 each), and a CRC-64 of
+ * everything before it. Decoding trusts nothing: sizes must match to the byte, settings must pass
+ * the checks of a new run, and numbers must be finite. */
 #include "learning/internal.h"
 
 #include <inttypes.h>

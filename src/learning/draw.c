@@ -1,9 +1,9 @@
 /* draw.c: the robots of a step.
  *
  * Pretraining: the next bodies of the seed's stream that are not held out. The set of seen bodies
- * is not saved: a restored training redraws its earlier bodies, which takes about 3.5 µs each, and
- * must end at the same number of draws. Finetuning: the designs in turn, continued from step to
- * step. After an interrupted draw, the next call continues where it stopped.
+ * is not saved: a restored run redraws its earlier bodies, which takes about 3.5 µs each, and must
+ * end at the same number of draws. Finetuning: the designs in turn, continued from step to step.
+ * After an interrupted draw, the next call continues where it stopped.
  *
  * There are two sets ("hands") of robots: one for the current step, and one for the next step,
  * which is drawn ahead while the gradient of the current robots is computed. Bodies are drawn from
@@ -38,8 +38,8 @@ static bool is_cancelled(const struct mo_training *training, const volatile int 
   return training->taken % ASK_EVERY == 0 && mo_is_cancelled(cancel);
 }
 
-/* Replays the stream of a restored training. A failed draw may leave the stream past the start of
- * the step, so the number of draws is checked only once. */
+/* Replays the stream of a restored run. A failed draw may leave the stream past the start of the
+ * step, so the number of draws is checked only once. */
 static int replay(struct mo_training *training, const volatile int *cancel,
                   volatile uint64_t *replayed)
 {

@@ -1,5 +1,5 @@
-/* export.c: exports the controller of a training with its lineage. The result depends only on the
- * training's state. */
+/* export.c: exports the controller of a training run with its lineage. The result depends only on
+ * the training's state. */
 #include "learning/internal.h"
 
 #include <inttypes.h>

@@ -137,7 +137,7 @@ static const struct mo_field learning_rows[] = {
 #undef AT
 const struct mo_fields mo_learning_fields = MO_FIELDS(learning_rows);
 
-/* ---- trainings ---- */
+/* ---- training runs ---- */
 
 const char *const mo_training_kind_words[] = {"pretrain", "finetune", NULL};
 

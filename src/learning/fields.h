@@ -1,4 +1,4 @@
-/* fields.h: the settings of learning and of trainings as tables of fields. */
+/* fields.h: the settings of learning and of training runs as tables of fields. */
 #ifndef MORPHO_LEARNING_FIELDS_H
 #define MORPHO_LEARNING_FIELDS_H
 

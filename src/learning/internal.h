@@ -1,4 +1,4 @@
-/* internal.h: the state of a training, shared by the files of this room. */
+/* internal.h: the state of a training run, shared by the files of this room. */
 #ifndef MORPHO_LEARNING_INTERNAL_H
 #define MORPHO_LEARNING_INTERNAL_H
 
@@ -76,7 +76,7 @@ bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *set
 
 /* environments.c: allocates n environments of the training's own, to be filled in. */
 int mo_training_allocate_environments(struct mo_training *training, uint32_t n);
-/* Gives a drawn environment another's task, and its light if the task moves the light. */
+/* Gives a drawn environment the task of another, and its light if the task moves the light. */
 void mo_training_give_task(const struct mo_environment *tasked, struct mo_environment *environment);
 /* A training's own environments as bytes: in their packed form, all in the first version that has
  * all their fields. */

@@ -1,4 +1,4 @@
-/* settings.c: the settings of a training: presets and bounds. */
+/* settings.c: the settings of a training run: presets and bounds. */
 #include "learning/fields.h"
 
 #include <inttypes.h>
@@ -45,8 +45,7 @@ struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
   return settings;
 }
 
-/* One short cosine, then a long one to the end: 5 + 61 + 1342 steps are 8 more than the training
- * has. */
+/* One short cosine, then a long one to the end: 5 + 61 + 1342 steps are 8 more than the run has. */
 static void set_phototaxis(struct mo_training_settings *settings)
 {
   settings->batch = BATCH_PAPER;

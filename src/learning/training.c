@@ -1,4 +1,4 @@
-/* training.c: the state of a training from its creation to its last step. */
+/* training.c: the state of a training run from its creation to its last step. */
 #include "learning/internal.h"
 
 #include <math.h>
