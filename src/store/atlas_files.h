@@ -15,10 +15,11 @@ struct mo_atlas_name {
 /* Reads the names of all complete atlases, in alphabetical order: (n), malloc. */
 int mo_store_atlas_names(const struct mo_store *store, struct mo_atlas_name **names, uint32_t *n);
 
-/* Stores a file under a valid name, durably, or replaces the one that has it; processes that have
- * it mapped keep it. It gets its name only after it has been read and checked. *created: the name
- * is new. MO_ERR_CONFLICT: a job builds this name; MO_ERR_FORMAT, MO_ERR_UNSUPPORTED,
- * MO_ERR_CORRUPT: not a whole atlas of the store's workspace. message says why. */
+/* Stores a file under a valid name, durably, or replaces the file that has it; processes that have
+ * the old file mapped keep it. A file gets its name only after it has been read and checked.
+ * *created: the name is new. MO_ERR_CONFLICT: a job is building an atlas of this name;
+ * MO_ERR_FORMAT, MO_ERR_UNSUPPORTED, MO_ERR_CORRUPT: not a whole atlas of the store's workspace.
+ * message says why. */
 int mo_store_atlas_put(struct mo_store *store, const char *name, const void *bytes, size_t size,
                        bool *created, struct mo_message *message);
 /* Deletes a file, durably; processes that have it mapped keep it. MO_ERR_NOT_FOUND. */

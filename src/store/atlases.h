@@ -19,11 +19,11 @@
  * members of the job. */
 struct mo_atlas_record {
   char name[MO_ATLAS_NAME_MAX + 1];
-  uint32_t voxels; /* the most */
+  uint32_t voxels; /* the largest number */
   enum mo_atlas_orientations orientations;
   uint32_t measures;                   /* bits; 0: none */
   uint64_t bodies_total;               /* 0: not counted yet, because the job has not started */
-  uint64_t bodies_done, rollouts_done; /* that the file has */
+  uint64_t bodies_done, rollouts_done; /* in the file */
 };
 struct mo_atlas_status {
   struct mo_job job;
@@ -34,7 +34,7 @@ struct mo_atlas_status {
 
 struct mo_atlas_request {
   struct mo_submission job;
-  char name[MO_ATLAS_NAME_MAX + 1]; /* "": a free one is made of the base */
+  char name[MO_ATLAS_NAME_MAX + 1]; /* "": a free name is made from the base */
   char base[MO_ATLAS_NAME_MAX + 1]; /* valid, and at most 58 characters */
   uint32_t voxels;
   int orientations;  /* enum mo_atlas_orientations */
@@ -60,7 +60,7 @@ int mo_store_atlas_writer(struct mo_store *store, const char *name,
                           const struct mo_atlas_source *source,
                           const struct mo_environment *environments, uint32_t n,
                           struct mo_atlas_writer **writer, struct mo_message *message);
-/* Removes an unfinished file that a writer refused. */
+/* Removes an unfinished file that a writer rejected. */
 int mo_store_atlas_restart(struct mo_store *store, const char *name);
 /* Makes the names of all atlas files durable. MO_ERR_NO_MEMORY, MO_ERR_IO. */
 int mo_store_atlases_sync(struct mo_store *store);

@@ -204,7 +204,7 @@ static void take_part(const struct conditions *conditions, const struct mo_campa
 static int insert_part(struct mo_store *store, struct part *part, int64_t genotype,
                        bool has_measures, struct mo_condition *last, int64_t now_us, bool *is_new)
 {
-  bool is_stored = false; /* the rollouts were perhaps computed only for their measures */
+  bool is_stored = false; /* the rollouts may have been computed only for their measures */
   int error = mo_condition_row_after(&store->writer, &part->condition, last);
   if (error == MO_OK && has_measures)
     error = mo_losses_are_known(&store->writer, &part->condition, genotype, &is_stored);

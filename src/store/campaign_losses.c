@@ -69,7 +69,7 @@ static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_c
                             n_key > 2 ? mo_blob(loss->origins, sizeof(loss->origins)) : mo_null(),
                             measures_size > 0 ? mo_blob(measures, measures_size) : mo_null());
   *added += error == MO_OK;
-  return error == MO_ERR_CONFLICT ? MO_OK : error; /* they are saved already */
+  return error == MO_ERR_CONFLICT ? MO_OK : error; /* they are already saved */
 }
 
 static int save_losses(struct mo_store *store, void *arguments)

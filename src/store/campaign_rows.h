@@ -51,7 +51,7 @@ int mo_campaign_words_get(struct mo_connection *connection, int64_t id,
                           struct mo_study_words *words);
 /* Reads only the words that a study defines. */
 int mo_study_words_get(struct mo_connection *connection, int64_t id, struct mo_study_words *words);
-/* Inserts a design; its genotype has a row already. measures: (n), of a study. */
+/* Inserts a design; its genotype already has a row. measures: (n), of a study. */
 int mo_campaign_design_row(struct mo_connection *writer, int64_t id, int64_t genotype,
                            const struct mo_campaign_design *design, const double *measures,
                            uint32_t n);

@@ -8,12 +8,12 @@
 
 /* Adds the event "campaign.lineage_unreadable": metadata of a controller in the campaign's lineage
  * cannot be read. field: the metadata field; detail: the reason. Both are short and need no escapes
- * in JSON. MO_ERR_CONFLICT as for trainings. */
+ * in JSON. MO_ERR_CONFLICT as for training runs. */
 int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id,
                                     const struct mo_sha256 *sha256, const char *field,
                                     const char *detail);
 
-/* Adds the event "campaign.progress". data: its JSON. MO_ERR_CONFLICT as for trainings. */
+/* Adds the event "campaign.progress". data: its JSON. MO_ERR_CONFLICT as for training runs. */
 int mo_store_campaign_progress(struct mo_store *store, int64_t id, const char *data);
 
 /* The newest population in its order, for a campaign that resumes. Reading it returns
@@ -45,15 +45,15 @@ struct mo_campaign_loss {
   int32_t diverged_steps[MO_ENVIRONMENTS_MAX]; /* ≥ 0 */
   int64_t origins[MO_ENVIRONMENTS_MAX];        /* of each loss, as in mo_saved_block */
   /* Bit k is for environment k. by_workers: workers computed the loss, though the job runs on
-   * devices; stored: it is in `scores` already. */
+   * devices; stored: it is already in `scores`. */
   uint64_t by_workers, stored;
   /* (n_environments) of a campaign that names measures: all measures of each rollout; NaN: no
    * value, or not computed. NULL: none. */
   double (*measures)[MO_MEASURES];
 };
 /* Saves losses of `generation`, which must follow the newest committed one. Returns after the
- * commit. Deletes rows of other generations; a place that is saved already keeps its losses.
- * event_data: JSON of "campaign.progress"; NULL: no event. MO_ERR_CONFLICT as for trainings. */
+ * commit. Deletes rows of other generations; a place that is already saved keeps its losses.
+ * event_data: JSON of "campaign.progress"; NULL: no event. MO_ERR_CONFLICT as for training runs. */
 int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t generation,
                                   const struct mo_campaign_loss *losses, size_t n,
                                   const char *event_data);
@@ -125,13 +125,13 @@ struct mo_campaign_commit {
   const char *collapse_data; /* nullable: JSON of "campaign.diversity_collapse" */
 };
 /* Commits a generation. Generation 0 has no parents: its whole population consists of children.
- * MO_ERR_NO_SPACE: nothing changed. MO_ERR_CONFLICT: as for trainings, or a different generation is
- * next. */
+ * MO_ERR_NO_SPACE: nothing changed. MO_ERR_CONFLICT: as for training runs, or a different
+ * generation is next. */
 int mo_store_campaign_commit(struct mo_store *store, int64_t id,
                              const struct mo_campaign_commit *commit);
 /* running → succeeded. controller (nullable): stored under its name, as by
- * mo_store_training_finish. MO_ERR_CONFLICT: as for trainings, or the campaign was extended in the
- * meantime (generations > expected), so continue. */
+ * mo_store_training_finish. MO_ERR_CONFLICT: as for training runs, or the campaign was extended in
+ * the meantime (generations > expected), so continue. */
 int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaign_end end,
                              uint32_t generations, const char *name, const uint8_t *bytes,
                              size_t size, const struct mo_controller *controller);

@@ -43,12 +43,12 @@ struct mo_campaign_request {
 int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_request *request,
                              int64_t *id, bool *replayed);
 /* Adds generations to a queued, running, paused or succeeded campaign; a succeeded one is requeued.
- * *before: its previous state. key (nullable): if it is known, the extension was done already, and
- * *before is MO_JOB_QUEUED. Event "campaign.extended". MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: failed,
- * cancelled or exhausted; MO_ERR_RANGE: exceeds MO_GENERATIONS_MAX or MO_CAMPAIGN_DESIGNS_MAX;
- * MO_ERR_UNSUPPORTED: the learning rate depends on the number of generations (simultaneous, one
- * cosine); MO_ERR_EMPTY: simultaneous, and the learning state was removed; MO_ERR_DUPLICATE: the
- * key was used with another request. */
+ * *before: its previous state. key (nullable): if it is known, the extension has already been made,
+ * and *before is MO_JOB_QUEUED. Event "campaign.extended". MO_ERR_NOT_FOUND; MO_ERR_CONFLICT:
+ * failed, cancelled or exhausted; MO_ERR_RANGE: exceeds MO_GENERATIONS_MAX or
+ * MO_CAMPAIGN_DESIGNS_MAX; MO_ERR_UNSUPPORTED: the learning rate depends on the number of
+ * generations (simultaneous, one cosine); MO_ERR_EMPTY: simultaneous, and the learning state was
+ * removed; MO_ERR_DUPLICATE: the key was used with a different request. */
 int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t generations,
                              const struct mo_request_key *key, enum mo_job_state *before);
 

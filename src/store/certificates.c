@@ -171,7 +171,7 @@ struct row {
   const uint8_t *losses, *measures; /* measures NULL: none */
   size_t n, measures_size;
 };
-/* MO_ERR_CORRUPT: wrong size or wrong checksum. Does not look at the measures. */
+/* MO_ERR_CORRUPT: wrong size or wrong checksum. Does not check the measures. */
 static int read_row(sqlite3_stmt *statement, int first, int64_t id, struct row *row)
 {
   const size_t size = (size_t)sqlite3_column_bytes(statement, first + 2);

@@ -10,7 +10,7 @@
 #define LONG   MO_COLUMN_LONG
 #define NUMBER MO_COLUMN_NUMBER
 #define FLAG   MO_COLUMN_FLAG
-/* The result of a learning step, in rows of trainings and campaigns. */
+/* The result of a learning step, in rows of training runs and campaigns. */
 #define REPORT(row)                                                                                \
   {"mean_loss", NUMBER, offsetof(row, report.mean_loss)},                                          \
       {"rate", NUMBER, offsetof(row, report.rate)},                                                \

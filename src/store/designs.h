@@ -84,7 +84,7 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
 /* ---- the orientation of designs given as ids ---- */
 
 /* Returns whether a placed genotype fits a workspace, which is not larger than its own, without
- * being turned. mo_genotype_move also turns bodies, which then have other scores. */
+ * being turned. mo_genotype_move also turns bodies, which then have different scores. */
 bool mo_fits_as_it_is(struct mo_workspace workspace, const struct mo_genotype *genotype);
 /* The conditions of a score, apart from the body. */
 struct mo_orienting {

@@ -6,13 +6,14 @@
 
 struct mo_store;
 
-/* Writes warnings of a time step beyond the linear stability bound, and of a controller that acts
- * in every short step. Returns their number. */
+/* Writes warnings about a time step beyond the linear stability bound, and about a controller that
+ * acts in every short step. Returns their number. */
 #define MO_PHYSICS_WARNINGS_MAX 2
 uint32_t mo_warn_of_physics(const struct mo_physics *physics,
                             struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX]);
 
-/* The same of a time step that is stable, but not with an environment's factors. Returns 0 or 1. */
+/* The same for a time step that is stable, but not with an environment's factors. Returns 0 or
+ * 1. */
 uint32_t mo_warn_of_world(const struct mo_physics *physics,
                           const struct mo_environment *environment, uint32_t position,
                           struct mo_warning *warning);
@@ -110,7 +111,7 @@ void mo_trajectory_free(void *trajectory); /* NULL-safe */
 /* Reads the results of an evaluation. If it is unfinished, reads the results so far.
  * MO_ERR_NOT_FOUND. */
 int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **results);
-/* Reads them without the measures. */
+/* Reads the results without the measures. */
 int mo_store_results_unmeasured(struct mo_store *store, int64_t id,
                                 struct mo_evaluation_results **results);
 /* Reads the results of design n only, as results of one design. */

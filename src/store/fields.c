@@ -8,7 +8,7 @@
 #include "store/campaigns.h"
 #include "store/trainings.h"
 
-/* ---- trainings ---- */
+/* ---- training runs ---- */
 
 #define AT(member) offsetof(struct mo_training_record, member)
 static const struct mo_field validation_rows[] = {
@@ -45,7 +45,7 @@ static const struct mo_field stored_training_rows[] = {
      .help = ""},
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_training_record_fields},
 };
-/* The same for a training in its own environments, which are rows of their own. */
+/* The same for a training run in its own environments, which have their own rows. */
 static const struct mo_field stored_own_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0,
      .group = &(const struct mo_fields)MO_FIELDS(stored_training_rows)},
@@ -140,7 +140,7 @@ static void write_training(const struct mo_training_record *record, struct mo_te
 }
 
 /* Writes only members that the campaign uses: the settings of all others keep the form that they
- * always had, in which bundles have them, too. */
+ * always had, which bundles use, too. */
 static void write_campaign(const struct mo_campaign_record *record, struct mo_text *text)
 {
   const bool measured = record->measures != 0;

@@ -1,4 +1,4 @@
-/* fields.h: tables of fields for the settings of trainings and campaigns. */
+/* fields.h: tables of fields for the settings of training runs and campaigns. */
 #ifndef MORPHO_STORE_FIELDS_H
 #define MORPHO_STORE_FIELDS_H
 
@@ -12,7 +12,7 @@ extern const struct mo_fields mo_campaign_record_fields;
 /* struct mo_campaign_record: the members of `learning`. */
 extern const struct mo_fields mo_campaign_record_learning_fields;
 
-/* Writes the settings of a training (struct mo_training_record) or a campaign (struct
+/* Writes the settings of a training run (struct mo_training_record) or a campaign (struct
  * mo_campaign_record) as the database stores them: a JSON object that preserves every number bit
  * for bit. */
 void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text);

@@ -143,7 +143,7 @@ int mo_folder_sync(struct mo_store *store, const char *path)
   return error;
 }
 
-/* Also syncs a folder that exists already: the call that created it may have been killed, or may
+/* Also syncs a folder that already exists: the call that created it may have been killed, or may
  * have run out of descriptors, before it synced the name. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path)
 {

@@ -17,7 +17,7 @@ int mo_file_read(const char *path, size_t size, uint8_t **bytes);
  * missing or its hash differs. */
 int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *sha256,
                          uint8_t **bytes);
-/* Writes a file, atomically and durably, unless it has these bytes already. `path` must be in
+/* Writes a file, atomically and durably, unless it already has these bytes. `path` must be in
  * `folder`. MO_ERR_NO_SPACE: nothing was changed. */
 int mo_file_write(struct mo_store *store, const char *folder, const char *path,
                   const uint8_t *bytes, size_t size);

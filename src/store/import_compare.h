@@ -25,7 +25,7 @@ struct mo_import_comparison {
   uint32_t n_classes, classes_room;
 };
 /* The calls after mo_compare_campaign belong to that campaign. MO_ERR_CONFLICT: the stored data has
- * other bits. mo_compare_evaluation returns 1, or 0 if the evaluation is not stored; rollouts
+ * different bits. mo_compare_evaluation returns 1, or 0 if the evaluation is not stored; rollouts
  * belong to the last stored one. */
 int mo_compare_campaign(struct mo_store *store, struct mo_import_comparison *rows,
                         const struct mo_imported_campaign *campaign);

@@ -45,7 +45,7 @@ int mo_enter_generation(struct mo_import *import, const struct mo_campaign_gener
                         uint32_t n_members);
 int mo_enter_step(struct mo_import *import, const struct mo_campaign_step *step);
 int mo_enter_score(struct mo_import *import, const struct mo_campaign_score *score);
-/* Inserts the evaluation without its designs. Returns 1, or 0 if it exists already. */
+/* Inserts the evaluation without its designs. Returns 1, or 0 if it already exists. */
 int mo_enter_evaluation(struct mo_import *import, const struct mo_imported_evaluation *evaluation);
 /* Inserts the next designs, at least one, until the time is over. */
 int mo_enter_evaluation_designs(struct mo_import *import,
@@ -63,7 +63,8 @@ int mo_import_forget(struct mo_store *store, void *unused);
 
 /* ---- deletion.c ---- */
 
-/* Deletes the jobs of an import that did not end, as other jobs. Waits only for the first step. */
+/* Deletes the jobs of an import that did not end, like other jobs. Waits only for the first
+ * step. */
 void mo_import_abandon(struct mo_store *store);
 
 /* ---- shared queries ---- */

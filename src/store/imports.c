@@ -33,7 +33,7 @@ int mo_store_import_file(struct mo_store *store, const struct mo_sha256 *sha256,
   return mo_controller_write_file(store, sha256, bytes, size);
 }
 
-/* ---- what exists already ---- */
+/* ---- what already exists ---- */
 
 int mo_store_import_own(struct mo_store *store, const struct mo_import_source *source, int64_t *id)
 {
@@ -189,7 +189,7 @@ static int insert_environments(struct mo_import *import,
   }
   mo_environments_drop(known, MO_ENVIRONMENTS_MAX);
   if (error == MO_ERR_CORRUPT || differ)
-    return MO_ERR_INVALID; /* replicates with other environments */
+    return MO_ERR_INVALID; /* replicates with different environments */
   import->n_environments = record->n_environments;
   if (error == MO_OK)
     error = find_set(import, record, group);
@@ -279,7 +279,7 @@ static int find_condition(struct mo_import *import, const struct mo_campaign_sco
   return error == MO_OK ? mo_condition_row_after(writer, condition, &import->last) : error;
 }
 
-/* Stores measures that are not stored yet. MO_ERR_CONFLICT: others are stored. */
+/* Stores measures that are not stored yet. MO_ERR_CONFLICT: different ones are stored. */
 static int insert_measures(struct mo_import *import, const struct mo_campaign_score *score,
                            const struct mo_condition *condition, int64_t genotype, int64_t origin)
 {

@@ -120,7 +120,8 @@ int mo_import_finish(struct mo_import *import);
 /* Frees the import. Without a successful mo_import_finish, its jobs are deleted. */
 void mo_import_close(struct mo_import *import);
 
-/* Finds job `own` (0: none) if it exists; otherwise like mo_store_import_find, also in itself. */
+/* Finds job `own` (0: none) if it exists; otherwise like mo_store_import_find, also among the
+ * import's own jobs. */
 int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t own,
                    int64_t *id);
 int mo_import_controller(struct mo_import *import, const struct mo_controller *controller,
@@ -129,8 +130,8 @@ int mo_import_controller(struct mo_import *import, const struct mo_controller *c
 int mo_import_campaign(struct mo_import *import, const struct mo_imported_campaign *campaign,
                        int64_t *id);
 /* A row is copied, and may be written by a later call, which then returns the error. births:
- * (row->n_children) operator and parents. MO_ERR_CONFLICT: another loss is stored for a rollout of
- * design mo_import_conflict(import). A rollout's job and step must be the evaluation's. */
+ * (row->n_children) operator and parents. MO_ERR_CONFLICT: a different loss is stored for a rollout
+ * of design mo_import_conflict(import). A rollout's job and step must be the evaluation's. */
 int mo_import_design(struct mo_import *import, const struct mo_campaign_design *design);
 int mo_import_generation(struct mo_import *import, const struct mo_campaign_generation *row,
                          const struct mo_descent *births, const struct mo_campaign_member *members,
@@ -142,7 +143,7 @@ int mo_import_rollout(struct mo_import *import, const struct mo_saved_trajectory
 /* Writes the rows that have been copied so far. */
 int mo_import_flush(struct mo_import *import);
 /* Begins an evaluation, after mo_import_flush; rollouts that follow belong to it. Returns 1, or 0
- * if it exists already. MO_ERR_NOT_FOUND: it lacks a loss. */
+ * if it already exists. MO_ERR_NOT_FOUND: it lacks a loss. */
 int mo_import_evaluation(struct mo_import *import, const struct mo_imported_evaluation *evaluation);
 uint32_t mo_import_conflict(const struct mo_import *import);
 uint64_t mo_import_losses(const struct mo_import *import); /* so far, not stored before */

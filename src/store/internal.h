@@ -19,7 +19,7 @@
 /* ---- writing ---- */
 
 struct mo_operation {
-  /* Runs inside a savepoint, perhaps several times: each run must ignore leftovers of an earlier
+  /* Runs inside a savepoint, possibly several times: each run must ignore leftovers of an earlier
    * run in `arguments`. */
   int (*run)(struct mo_store *store, void *arguments);
   void *arguments;

@@ -1,12 +1,12 @@
 /* measures.c: stored measures of rollouts.
  *
  * A row of `measures` holds all measures of one genotype in the environments of one condition. It
- * is computed and written together with losses, or later, for losses that are stored already. Like
+ * is computed and written together with losses, or later, for losses that are already stored. Like
  * losses, measures are looked up by environment, no matter which condition they are in.
  *
  * The packed data begins with the number of measures, because later versions append more: a row
- * that lacks one that is asked for counts as unknown. Values are whole multiples of a step, so four
- * bytes hold nearly all of them; the top bit of the head says that one did not fit, and that all
+ * that lacks a requested measure counts as unknown. Values are whole multiples of a step, so four
+ * bytes hold nearly all of them; the top bit of the header is set if one did not fit, and then all
  * are doubles. */
 #include "store/measures.h"
 

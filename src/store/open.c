@@ -243,7 +243,7 @@ static int count_opening(struct mo_store *store, struct mo_connection *writer)
   return end_transaction(writer, error);
 }
 
-/* Refuses a database file that ends within a page, which SQLite would fill with zeros. After a
+/* Rejects a database file that ends within a page, which SQLite would fill with zeros. After a
  * kill, the log may have the complete page. */
 static int check_length(const struct mo_store *store, struct mo_connection *writer,
                         struct mo_message *message)

@@ -67,7 +67,7 @@ static int find_rows(struct mo_connection *reader, const struct mo_orienting *un
   struct mo_physics physics = *under->physics;
   int error =
       mo_controller_find(reader, under->controller, &found->design.controller, &sensor, &physics);
-  if (error == MO_ERR_UNSUPPORTED || error == MO_ERR_RANGE) /* the submission will be refused */
+  if (error == MO_ERR_UNSUPPORTED || error == MO_ERR_RANGE) /* the submission will be rejected */
     return MO_ERR_NOT_FOUND;
   mo_physics_hash(&physics, under->precision, sensor, &hash);
   if (error == MO_OK)

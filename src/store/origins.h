@@ -37,7 +37,7 @@ struct mo_origin_row {
   struct mo_environment environments[MO_BLOCK_LANES]; /* the reader of the row drops their grids */
   struct mo_sha256 environment_sha256[MO_BLOCK_LANES];
   bool has_losses, has_measures; /* which of them the origin computed; the others are not set */
-  uint32_t n_measures;           /* how many are stored of each rollout: the first ones */
+  uint32_t n_measures;           /* how many measures of each rollout are stored: the first ones */
   struct mo_loss_row stored;
   struct mo_measures_row stored_measures;
   /* Set by the caller: the recomputed rows, with all measures, and whether they differ. */

@@ -83,14 +83,14 @@ struct mo_submission {
 /* A caution for readers of a job's result. code: "diverged", "unstable_step" … (warnings.c) */
 struct mo_warning {
   const char *code;
-  bool of_request; /* known already at submission */
+  bool of_request; /* already known at submission */
   char detail[231];
 };
 #define MO_WARNINGS_MAX 5
 
-/* A job. It has everything about an evaluation except its results. For a training or a campaign, it
- * has the members that lists show (for the rest, see store/trainings.h and store/campaigns.h). It
- * owns nothing, so it may be copied. */
+/* A job. It has everything about an evaluation except its results. For a training run or a
+ * campaign, it has the members that lists show (for the rest, see store/trainings.h and
+ * store/campaigns.h). It owns nothing, so it may be copied. */
 struct mo_job {
   int64_t id;      /* ≥ 1 */
   int64_t version; /* grows with every change of the row: the ETag */
@@ -109,14 +109,15 @@ struct mo_job {
   int error; /* MO_OK or a code; set when the job failed, or by the last unsuccessful attempt;
                 MO_ERR_DEVICE: paused for lack of a device */
   char error_text[256];
-  /* An evaluation has all of these. A training has the controller that it starts from
-   * (has_controller false: random weights), sensor, physics, n_designs, perhaps environments. A
-   * campaign has the same, always with environments; its n_designs is the population. */
+  /* An evaluation has all of these. A training run has the controller that it starts from
+   * (has_controller false: random weights), sensor, physics, n_designs, and optionally
+   * environments. A campaign has the same, always with environments; its n_designs is the
+   * population. */
   bool has_controller;
   char controller_name[MO_NAME_BYTES_MAX + 8]; /* as requested at submission; "": by hash */
   struct mo_sha256 controller_sha256;          /* the content of the name at submission */
   enum mo_sensor sensor; /* of the controller, or of the settings without one */
-  bool has_result;       /* a training or campaign has made this controller: */
+  bool has_result;       /* a training run or campaign has made this controller: */
   struct mo_sha256 result_sha256;
   char environment_set[MO_NAME_BYTES_MAX + 1];   /* a set or suite, or "": listed */
   uint32_t n_environments, n_designs, n_skipped; /* n_skipped: designs of an evaluation */
@@ -131,11 +132,11 @@ struct mo_job {
   uint32_t record, record_stride; /* channels; steps between two frames */
   uint64_t recorded_bytes;        /* of its recordings that are stored */
   int64_t recordings_removed_us;  /* 0: not removed */
-  /* 0 in a training; done includes cached and cut rollouts, which are not computed. */
+  /* 0 for a training run; done includes cached and cut rollouts, which are not computed. */
   uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged, rollouts_cut;
   /* Training: steps. Campaign: generations, without generation 0; done: committed. */
   uint32_t steps_total, steps_done;
-  /* Trainings and campaigns have them only if they were read with them. */
+  /* Training runs and campaigns have them only if they were read with them. */
   struct mo_warning warnings[MO_WARNINGS_MAX];
   uint32_t n_warnings;
 };

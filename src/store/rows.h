@@ -1,5 +1,5 @@
-/* rows.h: rows of numbers that trainings and campaigns write, in tables made from lists of columns.
- * Only for this room. */
+/* rows.h: rows of numbers that training runs and campaigns write, in tables made from lists of
+ * columns. Only for this room. */
 #ifndef MORPHO_STORE_ROWS_H
 #define MORPHO_STORE_ROWS_H
 

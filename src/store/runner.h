@@ -11,7 +11,7 @@
 /* ---- submission ---- */
 
 /* Finds the job of an idempotency key. MO_ERR_NOT_FOUND: the key is unknown; MO_ERR_CONFLICT: it
- * was used with another body. */
+ * was used with a different body. */
 int mo_store_replay(struct mo_store *store, const struct mo_request_key *key, int64_t *id);
 /* Stores a key, if there is one, with the job that answers its request. Errors as above. */
 int mo_store_keep_key(struct mo_store *store, const struct mo_request_key *key, int64_t id);
@@ -34,7 +34,7 @@ int mo_store_group(struct mo_store *store, int64_t id, uint32_t first, const str
 
 /* ---- state changes that clients request; each with its event ---- */
 
-/* Retry requeues a failed training or campaign and resets its attempts. It is a no-op for a job
+/* Retry requeues a failed training run or campaign and resets its attempts. It is a no-op for a job
  * that is not final. */
 enum mo_job_change { MO_CHANGE_CANCEL, MO_CHANGE_PAUSE, MO_CHANGE_RESUME, MO_CHANGE_RETRY };
 /* Changes a job's state. *before: the previous state. MO_ERR_NOT_FOUND, MO_ERR_CONFLICT. */
@@ -47,7 +47,7 @@ int mo_store_set_weight(struct mo_store *store, int64_t id, double weight);
 
 /* ---- start ---- */
 
-/* Finds the trainings and campaigns that were running when the last process ended. *n: their
+/* Finds the training runs and campaigns that were running when the last process ended. *n: their
  * number; *n_idle: the number that saved nothing after `since_us` (no checkpoint, no generation
  * and, from one second after the start, no losses); *id: the newest of these, or 0. Call it before
  * mo_store_requeue. */

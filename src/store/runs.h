@@ -1,5 +1,5 @@
 /* runs.h: submission and state changes of all jobs; queue, fence, end of an attempt and result of
- * trainings and campaigns, which are jobs with their own thread. Only for this room.
+ *training runs and campaigns, which are jobs with their own thread. Only for this room.
  *
  * Writes are fenced by the epoch: the job must have been started under this opening of the store
  * and must not be final. A job that was paused, or paused and resumed at once, still accepts
@@ -25,7 +25,7 @@ int mo_submit(struct mo_store *store, const struct mo_request_key *key,
 int mo_job_insert(struct mo_connection *writer, const struct mo_submission *request,
                   enum mo_job_kind kind, int64_t *id);
 /* Finds the job of an idempotency key. MO_ERR_NOT_FOUND: unknown, or no key; MO_ERR_CONFLICT: it
- * was used with another request. */
+ * was used with a different request. */
 int mo_key_find(struct mo_connection *connection, const struct mo_request_key *key, int64_t *id);
 int mo_key_insert(struct mo_connection *writer, const struct mo_request_key *key, int64_t id);
 

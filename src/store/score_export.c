@@ -178,7 +178,7 @@ void mo_score_walk_free(struct mo_score_walk *walk)
 }
 
 /* Takes the first rollout of a row for each environment: a row of a campaign or of a verify job may
- * have an environment twice, which readers of blocks refuse. */
+ * have an environment twice, which readers of blocks reject. */
 static int take_rollouts(struct mo_score_walk *walk, struct mo_connection *reader,
                          struct mo_score_block *block, const struct mo_condition *condition,
                          struct mo_campaign_score *score)

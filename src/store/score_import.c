@@ -1,5 +1,5 @@
 /* score_import.c: imports blocks of scores (score_blocks.h), each in one transaction of the writer.
- * A stored loss is never replaced: losses with other bits are counted and reported. */
+ * A stored loss is never replaced: losses with different bits are counted and reported. */
 #include "store/score_blocks.h"
 
 #include <stdio.h>
@@ -94,7 +94,7 @@ static int find_set(struct mo_connection *writer, struct entry *entry)
   return MO_OK;
 }
 
-/* Refuses a condition that lists an environment twice (two lines of the block may be the same),
+/* Rejects a condition that lists an environment twice (two lines of the block may be the same),
  * because the losses of one rollout could differ within a row. */
 static int check_environments(const struct entry *entry, uint32_t i)
 {

@@ -147,7 +147,7 @@ int mo_losses_insert(struct mo_store *store, const struct mo_condition *conditio
       write_losses(store, sql, condition, genotype, origin != 0 ? origin : store->origin, losses,
                    diverged_steps, computed_us);
   *is_new = error == MO_OK;
-  return error == MO_ERR_CONFLICT ? MO_OK : error; /* they are stored already */
+  return error == MO_ERR_CONFLICT ? MO_OK : error; /* they are already stored */
 }
 
 int mo_losses_replace(struct mo_store *store, const struct mo_condition *condition,
@@ -302,7 +302,7 @@ static int insert_block(struct mo_store *store, const struct mo_saved_block *blo
     all_known = all_known && is_known;
   }
   if (error == MO_OK && block->measures != NULL &&
-      block->verify_job == 0) /* perhaps only for these */
+      block->verify_job == 0) /* possibly computed only for these */
     error = mo_losses_are_known(&store->writer, &condition, block->genotype, &all_known);
   if (error != MO_OK || all_known)
     return error;

@@ -63,7 +63,7 @@ int mo_losses_read(struct mo_connection *connection, const struct mo_saved_desig
 int mo_losses_are_known(struct mo_connection *connection, const struct mo_condition *condition,
                         int64_t genotype, bool *are_known);
 /* Compares a row with the stored losses of its rollouts, no matter which blocks they are in.
- * MO_ERR_CONFLICT: a stored loss has other bits. */
+ * MO_ERR_CONFLICT: a stored loss has different bits. */
 int mo_losses_compare(struct mo_connection *connection, const struct mo_condition *condition,
                       int64_t genotype, const double *losses, const uint32_t *diverged_steps,
                       struct mo_score stored[MO_BLOCK_LANES]);

@@ -18,8 +18,8 @@ struct mo_select_by {
 };
 /* Returns the score of a design whose measure has this mean; NaN: it has none. */
 double mo_select_by_score(const struct mo_select_by *by, double mean);
-/* Names this score as the own score of the campaign: "-displacement_m" for `max`, with its unit.
- * Sets no name if the campaign selects by the loss. */
+/* Names this score as the campaign's own score: "-displacement_m" for `max`, with its unit. Sets no
+ * name if the campaign selects by the loss. */
 void mo_select_by_name(const struct mo_select_by *by, struct mo_own_score *own);
 
 /* An object with `measure` and `direction`, or null. */

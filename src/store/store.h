@@ -2,7 +2,7 @@
  *
  *   <path>/morphod.db (+ -wal, -shm)             all tables (schema/schema.sql)
  *   <path>/controllers/<sha256>.safetensors      weights, identified by content
- *   <path>/trainings/<job>/<step>.checkpoint     states of trainings (store/trainings.h)
+ *   <path>/trainings/<job>/<step>.checkpoint     states of training runs (store/trainings.h)
  *   <path>/campaigns/<job>/<generation>-<step>.checkpoint   of campaigns (store/campaigns.h)
  *   <path>/atlases/<name>.atlas                  atlases (store/atlas_names.h)
  *   <path>/reserve                               4 MiB set aside for a full disk
@@ -134,9 +134,9 @@ int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query,
 /* Counts the jobs in each state. */
 int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES]);
 
-/* ---- the attempts of trainings and campaigns ---- */
+/* ---- the attempts of training runs and campaigns ---- */
 
-/* Reads the ids of queued trainings or campaigns, by priority, then ascending. */
+/* Reads the ids of queued training runs or campaigns, by priority, then ascending. */
 int64_t mo_store_queued_runs(struct mo_store *store, enum mo_job_kind kind, int64_t *ids,
                              size_t limit);
 /* queued → running. MO_ERR_CONFLICT. */

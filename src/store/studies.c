@@ -195,7 +195,7 @@ int mo_store_study_batch(struct mo_store *store, int64_t id, struct mo_study_bat
   return error;
 }
 
-/* ---- telling ---- */
+/* ---- submitting a batch ---- */
 
 struct tell_arguments {
   struct mo_checkpoint checkpoint; /* of the sampler */
@@ -212,7 +212,7 @@ static int refuse(struct tell_arguments *call, enum mo_telling_fault fault, uint
   return error;
 }
 
-/* Checks whether the batch is the next one. MO_ERR_DUPLICATE: it was told before. */
+/* Checks whether the batch is the next one. MO_ERR_DUPLICATE: it was submitted before. */
 static int check_turn(struct mo_connection *connection, struct tell_arguments *call)
 {
   static const char sql[] = "SELECT j.state,s.batch,s.sha256 FROM studies s JOIN jobs j"
@@ -284,7 +284,7 @@ static int check_survivors(struct mo_connection *writer, struct tell_arguments *
   return error;
 }
 
-/* ---- own scores: one for each body ---- */
+/* ---- the client's own scores: one for each body ---- */
 
 struct told_score {
   uint8_t bits[MO_BITS_BYTES];
@@ -304,7 +304,7 @@ static int refuse_score(struct tell_arguments *call, uint32_t i, double score)
   return refuse(call, MO_TELLING_SCORE, call->telling->batch.children[i].place, MO_ERR_INVALID);
 }
 
-/* Finds the own score that an earlier batch told for a body. */
+/* Finds the client's score that an earlier batch has for a body. */
 static int find_score(struct mo_connection *writer, int64_t id, const uint8_t bits[MO_BITS_BYTES],
                       double *score)
 {
@@ -315,7 +315,7 @@ static int find_score(struct mo_connection *writer, int64_t id, const uint8_t bi
   return error == MO_OK ? mo_column_double(row, 0, score) : error;
 }
 
-/* Checks that no body gets a second own score that differs from its first one. */
+/* Checks that no body gets a second score from the client that differs from its first one. */
 static int check_scores(struct mo_connection *writer, struct tell_arguments *call)
 {
   const struct mo_study_batch *batch = &call->telling->batch;

@@ -1,8 +1,9 @@
 /* studies.h: studies in the store: campaigns in which a client makes the children.
  *
- * A study is a campaign of the mode MO_STUDY. A batch of children that is told becomes the next
- * generation: its row waits in `studies` until mo_store_campaign_commit commits its scores. At most
- * one batch is pending. The state of the sampler is stored as the checkpoint of its batch.
+ * A study is a campaign of the mode MO_STUDY. A batch of children that the client submits becomes
+ * the next generation: its row waits in `studies` until mo_store_campaign_commit commits its
+ * scores. At most one batch is pending. The state of the sampler is stored as the checkpoint of its
+ * batch.
  *
  * Threads and errors as in store/campaigns.h. */
 #ifndef MORPHO_STORE_STUDIES_H
@@ -32,7 +33,7 @@ struct mo_study_batch {
 };
 void mo_study_batch_free(void *batch); /* NULL-safe */
 
-/* A batch that is being told. Its words are in `words`, and may be new to the study. */
+/* A batch that is being submitted. Its words are in `words`, and may be new to the study. */
 struct mo_study_telling {
   struct mo_study_batch batch;
   struct mo_study_words words;
@@ -45,7 +46,7 @@ struct mo_study_telling {
 /* Faults of a batch. */
 enum mo_telling_fault {
   MO_TELLING_NUMBER,   /* MO_ERR_CONFLICT: a different batch is next */
-  MO_TELLING_OTHER,    /* MO_ERR_CONFLICT: this number was told with another request */
+  MO_TELLING_OTHER,    /* MO_ERR_CONFLICT: this number was used by a different request */
   MO_TELLING_ENDED,    /* MO_ERR_CONFLICT: the study has ended */
   MO_TELLING_PARENT,   /* MO_ERR_RANGE: child `place` has a parent that is not born yet */
   MO_TELLING_SURVIVOR, /* MO_ERR_INVALID: survivor `place` is not in the population, or is a
@@ -59,16 +60,17 @@ struct mo_telling_reply {
   enum mo_telling_fault fault;
   uint32_t place, next; /* next: the number of the next batch */
   double score;
-  bool is_new; /* false: the same batch was told before */
+  bool is_new; /* false: the same batch was submitted before */
 };
-/* Stores a batch, with the checkpoint of the sampler, in one transaction. Telling the same batch
+/* Stores a batch, with the checkpoint of the sampler, in one transaction. Submitting the same batch
  * again changes nothing. A batch has scores if, and only if, the study has an own score; a body has
- * one own score in the whole study. MO_ERR_NOT_FOUND: no such study; for other errors see
+ * only one such score in the whole study. MO_ERR_NOT_FOUND: no such study; for other errors see
  * reply->fault. */
 int mo_store_study_tell(struct mo_store *store, int64_t id, const struct mo_study_telling *telling,
                         struct mo_telling_reply *reply);
 
-/* Reads the newest batch told, pending or not. MO_ERR_NOT_FOUND: no batch was told yet. */
+/* Reads the newest submitted batch, pending or not. MO_ERR_NOT_FOUND: no batch was submitted
+ * yet. */
 int mo_store_study_batch(struct mo_store *store, int64_t id, struct mo_study_batch **batch);
 /* Reads the words of the designs: the names of the service's measures that the campaign names, then
  * the words that a study defines. */

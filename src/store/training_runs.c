@@ -88,7 +88,7 @@ static int write_checkpoint(struct mo_store *store, void *arguments)
 {
   /* Resets the attempts when a checkpoint goes beyond all earlier ones, because that is progress.
    * An error that recurs at the same step prevents that, so the third attempt still ends the
-   * training. */
+   * run. */
   static const char forgive_sql[] =
       "UPDATE jobs SET attempts=0 WHERE id=?1 AND attempts>0 AND"
       " ?2>(SELECT coalesce(max(step),0) FROM checkpoints WHERE job=?1)";

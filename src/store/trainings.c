@@ -1,4 +1,4 @@
-/* trainings.c: submits and reads trainings; the designs of populations. */
+/* trainings.c: submits and reads training runs; the designs of populations. */
 #include "store/trainings.h"
 
 #include <math.h>
@@ -64,7 +64,7 @@ int mo_store_submit_training(struct mo_store *store, const struct mo_training_re
   return mo_submit(store, &request->job.key, insert, request, id, replayed);
 }
 
-/* ---- one training ---- */
+/* ---- one training run ---- */
 
 static int load_status(struct mo_connection *reader, int64_t id, void *any)
 {

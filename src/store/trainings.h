@@ -1,7 +1,7 @@
-/* trainings.h: trainings in the store: settings, learning curve, checkpoints.
+/* trainings.h: training runs in the store: settings, learning curve, checkpoints.
  *
- * A training is a job of kind MO_JOB_TRAINING. Its settings never change. Its progress is rows: one
- * per step, one per validation, one per kept checkpoint. The bytes of a checkpoint are the file
+ * A training run is a job of kind MO_JOB_TRAINING. Its settings never change. Its progress is rows:
+ * one per step, one per validation, one per kept checkpoint. The bytes of a checkpoint are the file
  * trainings/<job>/<step>.checkpoint. The file and its folder are synced before the row, which holds
  * the file's hash, is written. After a crash, steps after the last checkpoint are rerun with the
  * same numbers; a rewritten step replaces its row.
@@ -22,8 +22,8 @@ struct mo_training_record {
   char name[MO_NAME_BYTES_MAX + 1]; /* of the resulting controller; "": "training-<id>" */
   uint32_t n_designs;               /* finetune */
   /* Its own environments: a named set, or "": listed in the request. n_environments 0: none, the
-   * training draws its environments. With its own, settings.held_out_environments has the same
-   * number. draws_worlds: only their tasks are its own, in drawn environments. */
+   * run draws its environments. With its own, settings.held_out_environments has the same number.
+   * draws_worlds: only their tasks are its own, in drawn environments. */
   char environment_set[MO_NAME_BYTES_MAX + 1];
   uint32_t n_environments;
   bool draws_worlds;
@@ -54,7 +54,7 @@ struct mo_training_validation_row {
   double mean_score, standard_error; /* over the mean losses of the designs that never diverged */
 };
 
-/* The current status of a training, read in one transaction. */
+/* The current status of a training run, read in one transaction. */
 struct mo_training_status {
   struct mo_job job; /* kind, state, version, times, attempts, error */
   struct mo_training_record record;
@@ -91,7 +91,7 @@ int mo_store_submit_training(struct mo_store *store, const struct mo_training_re
 
 /* MO_ERR_NOT_FOUND. */
 int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status);
-/* Like mo_store_jobs, but only trainings; ignores the query's kind. */
+/* Like mo_store_jobs, but only training runs; ignores the query's kind. */
 int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,
                            void *statuses /* struct mo_training_status */, size_t limit);
 /* Reads steps > after, ascending, at most `limit` ≤ MO_PAGE_MAX. stride ≥ 1: only multiples of
@@ -114,8 +114,8 @@ int mo_store_population(struct mo_store *store, int64_t id, uint32_t best,
 
 /* ---- the runner's writes: each returns after its commit, with its event ---- */
 
-/* All return MO_ERR_CONFLICT if the training has ended, or was not started under this opening of
- * the store. */
+/* All return MO_ERR_CONFLICT if the run has ended, or was not started under this opening of the
+ * store. */
 /* Writes rows of steps and validations, with the event "training.progress" of the last step. */
 int mo_store_training_progress(struct mo_store *store, int64_t id,
                                const struct mo_training_step_row *steps, size_t n_steps,

@@ -54,7 +54,7 @@ static void warn_of_rollouts(struct mo_job *job)
          job->n_displaced > 0 ? ", and no error if one of the additional ones did" : "", remedy);
 }
 
-/* Warns about a step of a training, or the population of a generation. */
+/* Warns about a step of a training run, or the population of a generation. */
 static void warn_of_robots(struct mo_job *job, const char *when, uint32_t number, uint32_t diverged,
                            uint32_t n)
 {
@@ -130,8 +130,8 @@ static uint32_t warn_of_dt(const struct mo_physics *physics, const char *where,
   return 1;
 }
 
-/* Controllers without a control period are mostly from before there were any, when a step had 4 ms:
- * with shorter ones, they act more often than they have learned to. */
+/* Controllers without a control period mostly date from before control periods existed, when a step
+ * took 4 ms: with shorter steps, they act more often than they have learned to. */
 static uint32_t warn_of_every_step(const struct mo_physics *physics, struct mo_warning *warning)
 {
   const struct mo_scheme *scheme = &physics->scheme;

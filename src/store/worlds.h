@@ -15,7 +15,7 @@ int mo_store_physics(struct mo_store *store, const struct mo_sha256 *sha256,
                      struct mo_physics *physics, enum mo_precision *precision,
                      enum mo_sensor *sensor);
 /* Reads the environments of a named set, or of a job, in order. *environments: (n), which the
- * caller frees with mo_environments_free. MO_ERR_NOT_FOUND: also a training that draws its
+ * caller frees with mo_environments_free. MO_ERR_NOT_FOUND: also for a training run that draws its
  * environments.
  */
 int mo_store_environment_set(struct mo_store *store, const char *name,

@@ -224,7 +224,7 @@ static void run_batch(struct mo_store *store, struct mo_operation *first)
   bool each_alone = first->next == NULL || atomic_load(&store->is_short);
   if (!each_alone)
     error = run_together(store, first);
-  abandon(store, error); /* if it is fatal, run_alone() refuses everything from now on */
+  abandon(store, error); /* if it is fatal, run_alone() rejects everything from now on */
   if (each_alone || error != MO_OK)
     for (operation = first; operation != NULL; operation = operation->next)
       finish_alone(store, operation);
