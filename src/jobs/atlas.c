@@ -6,8 +6,9 @@
  * the scores. Whatever stops the job, it continues after the last durable body of the file: the
  * losses of a body depend on nothing but the body and the settings, so the file has the same bytes.
  *
- * A file begins with what its losses depend on. If a job continues under other code (another
- * instruction set, or an update), the unfinished file is not its own anymore: it starts again. */
+ * A file begins with what its losses depend on. If a job continues under different code (a
+ * different instruction set, or an update), the unfinished file no longer belongs to it, and the
+ * job starts again. */
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -25,7 +26,7 @@
  * progress no matter how often it is killed. */
 #define SAVED_FIRST_US INT64_C(60000)
 #define SAVED_EVERY_US INT64_C(1000000)
-/* A wave has some windows of the back end, so that devices rarely idle at its end. */
+/* A wave fills several windows of the back end, so that devices rarely idle at its end. */
 #define WINDOWS      4
 #define WAVE_MIN     4096
 #define WAVE_MAX     131072
@@ -47,14 +48,14 @@ struct run {
   struct mo_atlas_source source;
   struct mo_environment *environments; /* (n) */
   uint32_t n_environments;
-  struct mo_atlas_writer *writer; /* NULL: at first, and if the file was complete already */
+  struct mo_atlas_writer *writer; /* NULL: at first, and if the file was already complete */
   struct mo_atlas_bodies *bodies;
   struct mo_controller *controller;
   struct mo_compute_controller *ready;
   struct mo_atlas_wave wave;
   struct mo_scoring scoring;
   uint32_t added;     /* bodies of the wave that the writer has */
-  uint32_t n_unsaved; /* 1: losses arrived that were not looked at */
+  uint32_t n_unsaved; /* 1: losses arrived that were not processed */
   bool is_complete;   /* the file has its final name */
   uint64_t shown;     /* bodies in the row */
   int64_t saved_us, every_us;
@@ -112,8 +113,8 @@ static void advance(struct run *run, double rollouts_per_s)
 
 /* Finds out what the file with the atlas's name is. MO_OK: it is complete and has what this job
  * writes, so run->is_complete. Nobody else uses the name while the job is open, so an earlier
- * attempt ended right before its job did. MO_ERR_NOT_FOUND; MO_ERR_DUPLICATE: it is another one,
- * and the job gives up. */
+ * attempt ended right before its job did. MO_ERR_NOT_FOUND; MO_ERR_DUPLICATE: it is a different
+ * atlas, and the job gives up. */
 static int adopt(struct run *run)
 {
   struct mo_atlas_record *record = &run->status.record;
@@ -132,7 +133,7 @@ static int adopt(struct run *run)
   if (error == MO_OK)
     error = mo_atlas_is_of(atlas, &run->source, run->environments, run->n_environments, &is_own);
   else
-    error = MO_OK; /* damaged, or of another kind */
+    error = MO_OK; /* damaged, or of a different kind */
   if (error == MO_OK && !is_own)
     error = mo_runner_give_up(run->runner, MO_ERR_DUPLICATE,
                               "another atlas now has this name; delete or rename it, "
@@ -140,7 +141,7 @@ static int adopt(struct run *run)
   if (error == MO_OK) /* that attempt may not have synced its name */
     error = mo_store_atlases_sync(run->jobs->store);
   if (error == MO_OK) {
-    (void)mo_store_atlas_restart(run->jobs->store, record->name); /* a file nobody needs */
+    (void)mo_store_atlas_restart(run->jobs->store, record->name); /* a file that nobody needs */
     run->is_complete = true;
     record->bodies_total = mo_atlas_bodies_of(atlas);
   }
@@ -234,7 +235,8 @@ static int write_progress(void *context)
   return mo_store_atlas_progress(run->jobs->store, run->id, record, data);
 }
 
-/* Makes all finished bodies durable, and then shows them. Only more of them are progress. */
+/* Makes all finished bodies durable, and then shows them. Only additional bodies count as
+ * progress. */
 static int save_now(struct run *run)
 {
   int error = mo_runner_persist(run->runner, write_file, run, "the atlas");
@@ -432,7 +434,7 @@ static int prepare(struct run *run)
   return error;
 }
 
-/* Gives the file its name. If another file has got it meanwhile, that one stays. */
+/* Gives the file its name. If another file has taken the name in the meantime, that file stays. */
 static int finish_file(struct run *run)
 {
   struct mo_message message = {.text = ""};
@@ -495,7 +497,7 @@ static void clean_up(void *context)
 
 /* ---- submission ---- */
 
-#define LARGE_VOXELS 5 /* from here on, devices are worth it */
+#define LARGE_VOXELS 5 /* from this size on, devices are worthwhile */
 
 static int complete(struct mo_jobs *jobs, struct mo_atlas_request *request,
                     struct mo_message *message)

@@ -1,10 +1,10 @@
 /* campaign_learn.c: how the controller of a campaign learns between generations.
  *
- * Few-shot: each generation has its own training, which starts from the pretrained weights and
+ * Few-shot: each generation has its own training run, which starts from the pretrained weights and
  * takes parent_steps on the parents, then child_steps on the children. Simultaneous: one training
- * takes the same steps and continues over the whole campaign. Generation 0 has no parents and takes
- * child_steps on the initial population. Robots learn in random environments or, if the campaign
- * asks for it, in those of the campaign; then checkpoints contain these.
+ * run takes the same steps and continues over the whole campaign. Generation 0 has no parents and
+ * takes child_steps on the initial population. Robots learn in random environments or, if the
+ * campaign asks for it, in those of the campaign; then checkpoints contain these.
  *
  * A checkpoint is written when it is due, at a pause or stop, and at the end of a generation's
  * learning, so that an interrupted scoring does not lose the learning. A generation commits with

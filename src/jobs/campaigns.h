@@ -30,9 +30,9 @@ struct mo_champions_request {
   const char *controller;      /* name or "sha256:…"; NULL: the one that scored the champions */
   const char *label, *submitted_by; /* nullable */
 };
-/* Submits an evaluation of the newest generation's champions. In a campaign that learns, its
- * newest checkpoint is stored as a controller, by hash. key (nullable): a known key returns its
- * evaluation; MO_ERR_DUPLICATE: the key was used with another request. */
+/* Submits an evaluation of the newest generation's champions. In a campaign that learns, its newest
+ * checkpoint is stored as a controller, by hash. key (nullable): a known key returns its
+ * evaluation; MO_ERR_DUPLICATE: the key was used with a different request. */
 int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
                                       const struct mo_champions_request *request,
                                       const struct mo_request_key *key, int64_t *evaluation,

@@ -6,8 +6,8 @@
  * back end rarely idles. Losses are saved in the order of the sequence, about once a second. So the
  * number of saved rollouts shows where a job continues, whatever stopped it.
  *
- * Losses under different code (another instruction set, or an update) must not be compared: if a
- * job continues under other code, it begins again. */
+ * Losses under different code (a different instruction set, or an update) must not be compared: if
+ * a job continues under different code, it begins again. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -44,7 +44,7 @@ struct group {
   struct mo_bits *genotypes;           /* (n, n_designs) */
   struct mo_environment *environments; /* (n, width) grids are borrowed */
   float *losses;                       /* (n_entries, width) */
-  double (*measures)[MO_MEASURES];     /* (n_entries, width) NULL: none are wanted */
+  double (*measures)[MO_MEASURES];     /* (n_entries, width) NULL: none are requested */
   uint32_t saved;                      /* entries: a design in a part */
 };
 
@@ -68,7 +68,7 @@ struct run {
   bool is_scoring; /* the group has a grid */
   struct mo_certificate_losses rows[ROWS_MAX];
   size_t n_rows;
-  uint32_t n_unsaved; /* 1: losses arrived that were not looked at */
+  uint32_t n_unsaved; /* 1: losses arrived that were not processed */
   int64_t saved_us, every_us;
   double pace; /* costs per second, as last known; 0: unknown */
 };
@@ -301,7 +301,7 @@ static uint32_t group_size(const struct run *run, uint32_t first)
   return n;
 }
 
-/* Scores a group from its first entry without stored losses. float64 is computed by processors. */
+/* Scores a group from its first entry without stored losses. float64 is computed on CPUs. */
 static int score_group(struct run *run)
 {
   struct group *group = &run->group;

@@ -10,7 +10,7 @@
 #include "store/trainings.h"
 #include "store/worlds.h"
 
-#define LARGE_ROLLOUTS 20000 /* from here on, devices are worth it */
+#define LARGE_ROLLOUTS 20000 /* from this size on, devices are worthwhile */
 
 /* What a request is completed with; the request points into it. */
 struct completion {
@@ -130,7 +130,7 @@ static int check_worlds(const struct mo_certificate_base *base, struct mo_messag
 }
 
 /* The bounds of a request imply this one: base, precision, two steps and two heights; copies of all
- * worlds; six constants; two axes with worlds of their own. */
+ * worlds; six constants; two axes with their own worlds. */
 _Static_assert(
     (uint64_t)MO_CERTIFICATE_DESIGNS_MAX *(
         MO_ENVIRONMENTS_MAX *(6 + MO_CERTIFICATE_CHANCE_MAX + 6 * MO_CERTIFICATE_LEVELS_MAX) +
@@ -152,7 +152,7 @@ static int count_trials(struct completion *made, const struct mo_certificate_bas
   return MO_OK;
 }
 
-/* Reads the environments of a named set. Finds out what the trials are made of. */
+/* Reads the environments of a named set. Determines what the trials are made of. */
 static int find_base(struct mo_jobs *jobs, struct completion *made,
                      struct mo_certificate_base *base, struct mo_message *message)
 {

@@ -3,7 +3,7 @@
  * Each round takes finished blocks, requests and the result of a save from the inbox; claims queued
  * jobs while places are free; fills the back end's window, interactive jobs first; starts a save
  * when one is due; and sleeps until news or the next due time. Each evaluation has its own share of
- * the back end, as trainings and campaigns do, and keeps a window of blocks in it. The back end
+ * the back end, as training runs and campaigns do, and keeps a window of blocks in it. The back end
  * divides its time by the shares' weights. */
 #include <stdlib.h>
 

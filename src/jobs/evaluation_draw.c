@@ -1,7 +1,7 @@
 /* evaluation_draw.c: stores the designs of large evaluations, and draws random ones, before the
  * evaluations are claimed.
  *
- * Storing a million designs takes about a minute of processor time, so a submission stores only a
+ * Storing a million designs takes about a minute of CPU time, so a submission stores only a
  * description of them: a seed, or a list of bits. One thread stores them in groups, each in its own
  * transaction, and between these the store's writer serves other requests. A crash or a pause loses
  * at most one group. The random bodies before it must be redrawn, because each new body depends on

@@ -19,7 +19,7 @@ bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
 {
   const double cost = (double)n_designs * NETWORK_SPRINGS + (double)springs;
   const double steps = physics->scheme.n_steps;
-  const uint32_t period = mo_control_steps(&physics->scheme); /* 0: it will be refused */
+  const uint32_t period = mo_control_steps(&physics->scheme); /* 0: it will be rejected */
   return cost * n_environments * steps *
              (PHYSICS_SHARE + (1 - PHYSICS_SHARE) / (period > 0 ? period : 1)) *
              (precision == MO_FLOAT64 ? 2 : 1) <=

@@ -16,7 +16,7 @@
  * also MO_BACK_END_AUTO.
  * - MO_ERR_INVALID, MO_ERR_RANGE: a value breaks this contract
  * - MO_ERR_NOT_FOUND: no such controller or set
- * - MO_ERR_CONFLICT: the key was used with another body
+ * - MO_ERR_CONFLICT: the key was used with a different body
  * - MO_ERR_BUSY: the queue is full; try again later
  * - MO_ERR_LIMIT: the job would record more than max_recorded_bytes
  * - MO_ERR_NO_SPACE: the disk is full; try again later

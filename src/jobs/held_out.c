@@ -1,4 +1,4 @@
-/* held_out.c: the held-out designs of a training's validation, and their score.
+/* held_out.c: the held-out designs of a training run's validation, and their score.
  *
  * The score of a design is its mean loss over the environments. The mean over designs omits designs
  * with a diverged rollout; diverged rollouts are counted. Numbers are added in the order of designs

@@ -20,7 +20,7 @@ const struct mo_kind *const mo_kinds[MO_JOB_KINDS] = {[MO_JOB_EVALUATION] = &mo_
 
 /* ---- the configuration ---- */
 
-/* Replaces 0 by the default, and limits the value. most 0: no limit. */
+/* Replaces 0 with the default, and limits the value. most 0: no limit. */
 static void complete(uint32_t *value, uint32_t none, uint32_t most)
 {
   if (*value == 0)

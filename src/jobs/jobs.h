@@ -30,7 +30,7 @@ struct mo_jobs_config {
   uint32_t max_open_jobs;        /* queued, running and paused together; 0: 10000 */
   uint64_t max_open_rollouts;    /* total of all open jobs; 0: 20 million */
   uint64_t max_recorded_bytes;   /* limit of one evaluation; 0: 64 MiB */
-  uint32_t max_active_trainings; /* trainings that run concurrently, ≤ 16; 0: 1 */
+  uint32_t max_active_trainings; /* training jobs that run concurrently, ≤ 16; 0: 1 */
   uint32_t max_active_campaigns; /* campaigns that run concurrently, ≤ 64; 0: 4 */
   /* Delay before a retry after an error or for lack of space. 0: 1000. */
   uint32_t retry_ms;
@@ -39,13 +39,14 @@ struct mo_jobs_config {
   const char *version;
   /* File that mo_jobs_crash_note wrote in an earlier process, or NULL. Read once, then emptied. */
   const char *crash_marker;
-  /* When the last process began (wall clock), if it was killed, perhaps for lack of memory; else 0.
-   * If only one running training or campaign had saved nothing since, the kill counts as a crash of
-   * that job. */
+  /* When the last process began (wall clock), if it was killed, possibly for lack of memory; else
+   * 0. If only one running training job or campaign had saved nothing since, the kill counts as a
+   *    crash
+   * of that job. */
   int64_t killed_us;
   /* Called for the log with every error that ends an attempt of a job, with every damaged
-   * checkpoint that is skipped, and once each time that a training or campaign starts to wait for
-   * disk space or memory. Runs on the scheduler's or the job's thread. Nullable. */
+   * checkpoint that is skipped, and once each time that a training job or campaign starts to wait
+   * for disk space or memory. Runs on the scheduler's or the job's thread. Nullable. */
   void (*warn)(void *context, int64_t job, int error, const char *text);
   void *warn_context;
 };
@@ -57,14 +58,14 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
                    struct mo_message *message);
 
 /* Stops the service's jobs: starts no new work, cancels blocks in flight, saves computed results
- * and a checkpoint of each training, and requeues running jobs. Returns MO_OK when all is saved, or
- * MO_ERR_BUSY when `deadline_ms` passed first. The process may end in either case: nothing
- * acknowledged is lost. Submissions fail with MO_ERR_CANCELLED from now on. */
+ * and a checkpoint of each training run, and requeues running jobs. Returns MO_OK when all is
+ * saved, or MO_ERR_BUSY when `deadline_ms` passed first. The process may end in either case:
+ * nothing acknowledged is lost. Submissions fail with MO_ERR_CANCELLED from now on. */
 int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms);
 void mo_jobs_free(struct mo_jobs *jobs); /* stops first if needed; NULL-safe */
 
 /* Sets the class of devices that only workers on other machines have. The first class of the
- * process is kept. MO_ERR_CONFLICT: there is another class, or the service itself has devices;
+ * process is kept. MO_ERR_CONFLICT: a different class is set, or the service itself has devices;
  * MO_ERR_LIMIT: too long; errors of the store. */
 int mo_jobs_name_devices(struct mo_jobs *jobs, const char *scores, const char *gradients);
 
@@ -75,7 +76,8 @@ int mo_jobs_cancel(struct mo_jobs *jobs, int64_t id);
 /* Pauses the job. Pausing a paused job changes nothing and returns MO_OK. */
 int mo_jobs_pause(struct mo_jobs *jobs, int64_t id);
 /* Resumes a paused job. Resuming a queued or running job changes nothing and returns MO_OK. A
- * failed training or campaign continues from its saved state, with its count of attempts reset to
+ * failed training run or campaign continues from its saved state, with its count of attempts reset
+ * to
  * 0. MO_ERR_BUSY: too many jobs are open. A job whose devices are lost, or lack memory for its
  * smallest part, is paused with MO_ERR_DEVICE and the reason; if nothing has changed when the job
  * is resumed, it is paused again. */
@@ -93,7 +95,7 @@ int mo_jobs_edit(struct mo_jobs *jobs, int64_t id, const struct mo_job_edit *edi
 /* The lattice of the service's workspace, for all of its bodies; as long as `jobs`. */
 const struct mo_lattice *mo_jobs_lattice(const struct mo_jobs *jobs);
 
-/* After so many crashes or errors a job fails. */
+/* After this many crashes or errors a job fails. */
 #define MO_ATTEMPTS_MAX 3
 
 /* Counters. Active jobs are being cut into blocks. All counts are since the start, except the
@@ -125,8 +127,9 @@ struct mo_jobs_stats {
 };
 /* Fills *stats without waiting for computation or the store. */
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats);
-/* Returns the number of trainings, campaigns, atlases and certificates that are waiting for disk
- * space or memory, and their ids for mo_job_query, which shows them as paused while they run. */
+/* Returns the number of training runs, campaigns, atlases and certificates that are waiting for
+ * disk space or memory, and their ids for mo_job_query, which shows them as paused while they
+ * run. */
 size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX]);
 
 /* ---- crashes ---- */

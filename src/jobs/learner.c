@@ -1,6 +1,5 @@
-/* learner.c: one step of learning on the back end, for trainings and for campaigns that learn. A
- * device computes the gradient of a thousand robots in the time that a processor needs to draw
- * them. */
+/* learner.c: one step of learning on the back end, for training runs and for campaigns that learn.
+ * A device computes the gradient of a thousand robots in the time that a CPU needs to draw them. */
 #include "jobs/learner.h"
 
 #include <stdlib.h>

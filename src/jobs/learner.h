@@ -1,4 +1,4 @@
-/* learner.h: learning on the back end, for trainings and for campaigns that learn. */
+/* learner.h: learning on the back end, for training runs and for campaigns that learn. */
 #ifndef MORPHO_JOBS_LEARNER_H
 #define MORPHO_JOBS_LEARNER_H
 
@@ -7,7 +7,7 @@
 #include "jobs/state.h"
 #include "jobs/trainings.h"
 
-/* A training, and the state that the back end needs for its gradients. */
+/* A training run, and the state that the back end needs for its gradients. */
 struct mo_learner {
   struct mo_training *training;
   /* Set by mo_learner_prepare. */
@@ -26,9 +26,9 @@ struct mo_learner {
   double *d_parameters;
   struct mo_outcome *outcomes;
 };
-/* Prepares the learner for its training. Call it again when another training with the same
+/* Prepares the learner for its training run. Call it again when another run with the same
  * controller and batch replaces it. `write` writes the due data of earlier steps, and may read the
- * state of the training. MO_ERR_NO_MEMORY. */
+ * state of the run. MO_ERR_NO_MEMORY. */
 int mo_learner_prepare(struct mo_learner *learner, struct mo_runner *runner,
                        const struct mo_job *job, int (*write)(void *context), void *context);
 /* Sets the designs of the training and discards the batch that was laid out ahead. */

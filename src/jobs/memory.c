@@ -222,7 +222,7 @@ bool mo_memory_take(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id
   return taken;
 }
 
-/* One suspect less, if this job was not proven before. */
+/* Removes one suspect, if this job was not proven before. */
 static bool clear(struct mo_memory *memory, const struct mo_memory_user *user)
 {
   if (memory->n_suspects == 0 || user == NULL || user->is_proven)

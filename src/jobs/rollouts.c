@@ -80,7 +80,7 @@ static int take_designs(struct mo_jobs *jobs, const struct mo_evaluation_request
   return error;
 }
 
-/* Refuses requests that are not short, or that would make large recordings. */
+/* Rejects requests that are not short, or that would make large recordings. */
 static int check_size(const struct mo_evaluation_request *request,
                       const struct mo_rollouts *rollouts, struct mo_message *message)
 {
@@ -125,7 +125,7 @@ static int prepare_recordings(const struct mo_evaluation_request *request,
 
 /* ---- states ---- */
 
-/* Checks the states of the request: one for each rollout, of its robot, all at one time. */
+/* Checks the states of the request: one for each rollout, of its robot, all at the same time. */
 static int check_states(const struct mo_evaluation_request *request,
                         const struct mo_rollout_states *states, const struct mo_rollouts *rollouts,
                         struct mo_message *message)

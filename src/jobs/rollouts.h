@@ -17,7 +17,7 @@ struct mo_rolled_design {
   enum mo_orientation orientation;
 };
 
-/* A state that a rollout starts from, and the robot that it is of. */
+/* A state that a rollout starts from, and the robot that it belongs to. */
 struct mo_start {
   struct mo_state state;
   struct mo_genotype robot; /* as it was scored */
@@ -40,7 +40,7 @@ struct mo_rollouts {
   struct mo_rolled *rollouts;          /* (n_designs, n_environments) */
   const struct mo_start *from;         /* (n_designs, n_environments), of the request, or NULL */
   struct mo_state *ends;               /* (n_designs, n_environments) final states; NULL: not
-                                          wanted */
+                                          requested */
   struct mo_physics physics;
   enum mo_precision precision;
   bool is_crowded; /* for a client with other requests in flight: other clients overtake these */
@@ -55,7 +55,7 @@ void mo_rollouts_free(struct mo_rollouts *rollouts); /* NULL-safe */
  * label, key and `verify`. The losses have the same bits as in an evaluation. The states of the
  * request must outlive the rollouts.
  * - MO_ERR_RANGE, MO_ERR_INVALID: a value is outside its bounds
- * - MO_ERR_LIMIT: they would take too long, or be too large: an evaluation is meant for them
+ * - MO_ERR_LIMIT: they would take too long, or be too large: use an evaluation for them
  * - MO_ERR_CONFLICT: a state does not fit its rollout
  * - MO_ERR_NOT_FOUND: no such controller or set
  * - MO_ERR_UNSUPPORTED: the controller is for another workspace

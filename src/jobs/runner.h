@@ -87,8 +87,8 @@ static inline bool mo_is_shortage(int error)
 
 /* ---- runner.c: requests ---- */
 void mo_runners_wake(struct mo_runners *runners);
-/* Passes a request, whose job is stored already, to the runner of the job, if one runs it. A thread
- * that serves all jobs rereads their states. */
+/* Passes a request to the runner of the job, if one runs it; the job's new state is already stored.
+ * A thread that serves all jobs rereads their states. */
 void mo_runners_request(struct mo_runners *runners, int64_t id, enum mo_job_request request);
 /* Returns the runner of a job, or NULL; under the mutex. */
 struct mo_runner *mo_runners_find(struct mo_runners *runners, int64_t id);

@@ -80,7 +80,7 @@ struct mo_window {
   int (*joins)(void *context, struct mo_flight *flight, uint32_t k);
   int (*prepare)(void *context, struct mo_flight *flight);
 };
-/* Cuts the next block and submits it. If a block is refused, it comes back at once with the error.
+/* Cuts the next block and submits it. If a block is rejected, it comes back at once with the error.
  * Returns 1, or 0 if the window is full, no cell is open, or *budget designs were visited, or an
  * error of the functions above or of memory. */
 int mo_window_launch(struct mo_window *window, unsigned *budget);

@@ -1,5 +1,5 @@
-/* state.h: shared by all files of this room: the service's state, and small parts of it that have
- * no header of their own. */
+/* state.h: shared by all files of this room: the service's state, and small parts of it without
+ * their own header. */
 #ifndef MORPHO_JOBS_STATE_H
 #define MORPHO_JOBS_STATE_H
 
@@ -51,7 +51,7 @@ struct mo_jobs {
   struct mo_evaluations *evaluations; /* evaluation.h */
   struct mo_controller_cache controllers;
   pthread_mutex_t exclusions_mutex;
-  struct mo_exclusion *exclusions; /* bodies of pretrainings, shared by campaigns */
+  struct mo_exclusion *exclusions; /* bodies of pretraining runs, shared by campaigns */
 
   /* Statistics. */
 #define MO_JOBS_COUNT(name) atomic_uint_fast64_t name;
@@ -84,7 +84,7 @@ void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
 
 /* ---- back_end.c ---- */
 /* Chooses the back end if the request leaves it open. unsuited: why devices cannot compute the job,
- * and what to do; NULL: they can. is_large: devices are worth it. MO_ERR_DEVICE. */
+ * and what to do; NULL: they can. is_large: devices are worthwhile. MO_ERR_DEVICE. */
 int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, const char *unsuited,
                        bool is_large, struct mo_message *message);
 /* Returns why devices cannot compute these environments, and what to do; NULL: they can, as they

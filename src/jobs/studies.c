@@ -15,7 +15,7 @@ static int read_study(struct mo_jobs *jobs, int64_t id, struct mo_campaign_statu
                                                                                  : error;
 }
 
-/* ---- telling ---- */
+/* ---- submitting a batch ---- */
 
 static int place_bodies(struct mo_workspace workspace, struct mo_study_telling *telling)
 {
@@ -146,8 +146,9 @@ struct asking {
   struct mo_seen *seen;
 };
 
-/* Reads the numbers and bodies of the parents: all, in their order, or as many as bodies are asked
- * for, at random. So a study that asks for its whole population is a campaign. */
+/* Reads the numbers and bodies of the parents: all, in their order, or as many as there are
+ * requested bodies, at random. So a study that asks for its whole population acts like a
+ * campaign. */
 static int read_parents(struct asking *asking, const struct mo_ask *ask)
 {
   struct mo_campaign_state *state = NULL;

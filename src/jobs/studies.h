@@ -10,8 +10,8 @@
 #include "store/campaigns.h"
 #include "store/studies.h"
 
-/* Places the children's bodies, stores the batch, and queues it for scoring. Telling the same batch
- * again changes nothing. Returns the errors of mo_store_study_tell, with a message. */
+/* Places the children's bodies, stores the batch, and queues it for scoring. Submitting the same
+ * batch again changes nothing. Returns the errors of mo_store_study_tell, with a message. */
 int mo_jobs_tell(struct mo_jobs *jobs, int64_t id, struct mo_study_telling *telling,
                  struct mo_telling_reply *reply, struct mo_message *message);
 

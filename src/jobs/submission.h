@@ -37,7 +37,7 @@ int mo_placed_orient(struct mo_jobs *jobs, const struct mo_orienting *under,
                      enum mo_back_end back_end, struct mo_placed *placed, uint32_t n,
                      struct mo_design_note *notes, uint32_t n_notes, struct mo_message *message);
 
-/* Same, for the designs of an evaluation. Its back end must be chosen already. */
+/* Same, for the designs of an evaluation. Its back end must already be chosen. */
 int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                          struct mo_placed *placed, struct mo_message *message);
 

@@ -1,16 +1,16 @@
-/* trainings.h: trainings as jobs: submission. By default one runs at a time (max_active_trainings);
- * the others wait in the order of their submission. After a crash a training continues from its
- * newest checkpoint and ends with the same weights, bit for bit (training.c). */
+/* trainings.h: training runs as jobs: submission. By default one runs at a time
+ * (max_active_trainings); the others wait in the order of their submission. After a crash a run
+ * continues from its newest checkpoint and ends with the same weights, bit for bit (training.c). */
 #ifndef MORPHO_JOBS_TRAININGS_H
 #define MORPHO_JOBS_TRAININGS_H
 
 #include "jobs/live.h"
 #include "store/trainings.h"
 
-/* Submits a training, like mo_jobs_submit_evaluation; `message` has the details. record.population:
- * a succeeded evaluation, or a campaign for its newest population.
+/* Submits a training run, like mo_jobs_submit_evaluation; `message` has the details.
+ * record.population: a succeeded evaluation, or a campaign for its newest population.
  * - MO_ERR_NOT_FOUND: no such controller or population
- * - MO_ERR_CONFLICT: the key was used with another body, or the population has not succeeded
+ * - MO_ERR_CONFLICT: the key was used with a different body, or the population has not succeeded
  * - MO_ERR_UNSUPPORTED: the controller is for another workspace */
 int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_request *request,
                             int64_t *id, bool *replayed, struct mo_message *message);
@@ -19,7 +19,7 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
  * with the fingerprint of the gradients. Lives as long as `jobs`. */
 const char *mo_jobs_code_version(const struct mo_jobs *jobs, enum mo_back_end back_end);
 
-/* The controller that a training has made, and its file. */
+/* The controller that a training run has made, and its file. */
 struct mo_learned {
   struct mo_controller *controller;
   uint8_t *bytes;

@@ -38,7 +38,7 @@ static void fill_block(const struct mo_jobs *jobs, const struct mo_origin_row *r
     block->environments[k] = &row->environments[k];
 }
 
-/* Takes the results of a block. Its measures are in the row already. */
+/* Takes the results of a block. Its measures are already in the row. */
 static void compare(const struct mo_block *block, struct mo_origin_row *row)
 {
   for (uint32_t k = 0; k < row->n && row->has_measures; k++)

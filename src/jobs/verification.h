@@ -22,8 +22,8 @@ struct mo_verification {
 /* Recomputes the losses and measures of the next rows of an origin, ahead of all batch work and
  * never on workers on other machines, and waits for them. With `repair`, replaces those that
  * differ, in one transaction. The caller frees `rows`, even after an error.
- * - MO_ERR_NOT_FOUND: nothing is of this origin
- * - MO_ERR_DEVICE: they are of devices, and none works
+ * - MO_ERR_NOT_FOUND: nothing has this origin
+ * - MO_ERR_DEVICE: devices computed them, and no device works
  * - MO_ERR_CANCELLED: the service is stopping */
 int mo_jobs_verify(struct mo_jobs *jobs, struct mo_verification *verification);
 
