@@ -48,7 +48,8 @@ static void write_lasting(const struct mo_imported_campaign *campaign, struct mo
   lasting->source = (struct mo_import_source){.store = 0};
   lasting->record.group = lasting->record.replicate = 0;
   lasting->record.settings.generations = 0;
-  lasting->record.environment_set[0] = '\0'; /* here, the name may stand for other environments */
+  lasting->record.environment_set[0] = '\0'; /* here, the name may stand for different
+                                                environments */
   lasting->state = MO_JOB_SUCCEEDED;
   lasting->end = MO_CAMPAIGN_OPEN;
   lasting->has_label = lasting->has_result = false;
@@ -277,7 +278,7 @@ static int enter(struct entry *entry)
   return error;
 }
 
-/* ---- campaigns that exist here already ---- */
+/* ---- campaigns that already exist here ---- */
 
 /* Finds the campaign if it ran here with the same history as in the bundle. MO_ERR_NOT_FOUND. */
 static int find_own(struct entry *entry, const struct mo_import_source *source, int64_t *id)
@@ -325,7 +326,7 @@ static int compare_lasting(struct entry *entry, uint32_t i)
   return error;
 }
 
-/* Finds the campaigns that exist here already; the others get id 0. Returns the number of the
+/* Finds the campaigns that already exist here; the others get id 0. Returns the number of the
  * others, or an error. */
 static int find_known(struct entry *entry)
 {

@@ -14,7 +14,7 @@ struct mo_bundle_import {
   /* The content of the bundle, and the result. Begin with zeros. */
   struct mo_bundle_summary summary;
   int64_t ids[MO_BUNDLE_CAMPAIGNS];  /* ids in this store; 0: not here */
-  bool entered[MO_BUNDLE_CAMPAIGNS]; /* by this import; the others existed already */
+  bool entered[MO_BUNDLE_CAMPAIGNS]; /* by this import; the others already existed */
   bool is_new;                       /* the import added something */
   uint64_t n_scores;                 /* losses that were new */
   bool has_begun;                    /* to store; without an error, `is_new` */

@@ -22,7 +22,7 @@ void mo_line_skip(struct mo_json *json, void *value);
 extern const struct mo_field_own mo_line_store, /* uint64_t: the id of a store */
     mo_line_genotype;                           /* struct mo_genotype, placed as for scoring */
 
-/* Reads a text. If it is refused, `text` stays unchanged. */
+/* Reads a text. If it is rejected, `text` stays unchanged. */
 void mo_line_text(struct mo_json *json, char *text, size_t size);
 
 /* ---- lines ---- */

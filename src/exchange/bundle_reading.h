@@ -74,7 +74,7 @@ struct mo_reading {
 /* Fills the message with a fault in a line of the member (line 0: in the member). Returns
  * MO_ERR_FORMAT. */
 int mo_reading_refuse(struct mo_reading *reading, uint32_t line, const char *words);
-/* Refuses a member without lines, or without a newline at the end of its last line. */
+/* Rejects a member without lines, or without a newline at the end of its last line. */
 int mo_reading_check_lines(struct mo_reading *reading);
 bool mo_reading_is_over(const struct mo_reading *reading);
 /* Returns the index of a controller, or n_controllers if it was not read. */

@@ -1,5 +1,5 @@
 /* canary.c: frozen rollouts and frozen gradients. Every machine of a class must compute the same
- * bits for them. A machine that computes other bits is refused before it computes anything that
+ * bits for them. A machine that computes different bits is refused before it computes anything that
  * counts.
  *
  * Half of the bodies use the usual physics. The others fall from a height onto slippery ground, so
@@ -187,7 +187,7 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
   int error = batch.d_parameters != NULL ? make_robots(canary) : MO_ERR_NO_MEMORY;
   if (error == MO_OK)
     error = mo_gradient_state_create(compute, &state);
-  /* A device has kernels of its own for periods of several steps. */
+  /* A device has separate kernels for periods of several steps. */
   for (uint32_t p = 0; p < KINDS && error == MO_OK; p++) {
     batch.physics.scheme.control_period_s = (p % 2 == 0 ? 0 : 3) * batch.physics.scheme.dt_s;
     batch.physics.scheme.integrator = p < 2 ? MO_INTEGRATOR_PAPER : MO_INTEGRATOR_SPLIT;
@@ -211,8 +211,9 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
 
 /* ---- both ---- */
 
-/* The canary's version is part of the protocol (MO_FLEET_PROTOCOL): raise it with each change, so
- * that workers with another canary are refused as of another version, and not for wrong bits. */
+/* The canary's version is part of the protocol (MO_FLEET_PROTOCOL): increment it with each change,
+ * so that workers with a different canary are refused because of their version, not because of
+ * wrong bits. */
 static void read_bits(struct canary *canary, struct mo_sha256 *hash)
 {
   struct mo_sha256 parts[2];

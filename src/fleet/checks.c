@@ -65,8 +65,8 @@ static bool add_vote(struct mo_lease *lease, const struct mo_vote *vote)
   return true;
 }
 
-/* Returns the first measure of a row that differs, or MO_MEASURES. Votes on one lease have measures
- * both or neither. */
+/* Returns the first measure of a row that differs, or MO_MEASURES. Either both votes on a lease
+ * have measures, or neither has. */
 static unsigned different_measure(const struct mo_vote *a, const struct mo_vote *b, uint32_t row)
 {
   unsigned m = 0;

@@ -2,7 +2,7 @@
  *
  * A second session also computes one lease in ten of a new session (one in 200 after 500 leases),
  * and every lease that was late. If the two results differ, this process computes the first block
- * that differs, and refuses the sessions that returned other rows. This process cannot compute
+ * that differs, and refuses the sessions that returned different rows. This process cannot compute
  * gradient shards, or a device class that only workers have. If two results of these differ, one of
  * them must be wrong, so both sessions are refused. */
 #ifndef MORPHO_FLEET_CHECKS_H
@@ -19,7 +19,7 @@ void mo_check_begin(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_se
 /* Compares another result. May free the lease. */
 void mo_check_result(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_session *session,
                      const struct mo_wire_result *result, uint64_t now_ns, struct mo_after *after);
-/* Takes rows that this process computed, refuses the sessions that returned other rows for a
+/* Takes rows that this process computed, refuses the sessions that returned different rows for a
  * disputed lease, and frees the lease. */
 void mo_check_decide(struct mo_fleet *fleet, struct mo_lease *lease, double *losses,
                      uint32_t *diverged_steps, double (*measures)[MO_MEASURES], uint64_t now_ns,

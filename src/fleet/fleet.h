@@ -21,7 +21,7 @@
 #define MO_FLEET_NAME_BYTES   64   /* name of a session or host, without NUL */
 #define MO_FLEET_SILENCE_MS   6000
 #define MO_FLEET_LEASE_S      1.0 /* time that a lease should take */
-#define MO_FLEET_LEASES       2   /* that a session holds at one time, for each back end */
+#define MO_FLEET_LEASES       2   /* that a session holds at a time, for each back end */
 
 enum mo_session_state {
   MO_SESSION_ACTIVE,
@@ -68,7 +68,7 @@ void mo_fleet_free(struct mo_fleet *fleet);
 
 /* ---- canary: frozen rollouts and a gradient that have the same bits throughout a class ---- */
 /* Computes the canary of a class with the CPU workers or the devices of a back end. It takes half a
- * second of one processor. MO_ERR_DEVICE, MO_ERR_NO_MEMORY. */
+ * second of one CPU. MO_ERR_DEVICE, MO_ERR_NO_MEMORY. */
 int mo_fleet_canary(struct mo_compute *compute, enum mo_back_end back_end, struct mo_sha256 *hash);
 
 /* ---- sessions ---- */
@@ -106,7 +106,7 @@ struct mo_fleet_orders {
   uint32_t n_dropped;
   struct mo_lease_id dropped[16];
 };
-/* Reads the orders since the last call, which also counts as a sign of life. Returns 1 if there are
+/* Reads the orders since the last call, which also counts as a heartbeat. Returns 1 if there are
  * some, otherwise 0. MO_ERR_NOT_FOUND. */
 int mo_fleet_orders(struct mo_fleet *fleet, uint64_t session, uint64_t now_ns,
                     struct mo_fleet_orders *orders);

@@ -81,8 +81,8 @@ static bool fits(const struct mo_fleet *fleet, const struct mo_lease *lease,
          (lease->is_listed && now_ns > lease->listed_ns + PATIENCE_NS);
 }
 
-/* A lease with suspects is not repeated: its blocks are put back first, and then leased among
- * fewer. It often takes long until a lost session is noticed, so otherwise some session would
+/* A lease with suspects is not repeated: its blocks are put back first, and then leased among fewer
+ * bodies. It often takes long until a lost session is noticed, so otherwise some session would
  * always hold the lease. */
 static bool may_repeat(const struct mo_fleet *fleet, const struct mo_lease *lease,
                        const struct mo_session *session)

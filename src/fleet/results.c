@@ -153,8 +153,8 @@ int mo_results_take(struct mo_fleet *fleet, struct mo_session *session,
       continue;
     }
     if (result->state != MO_RESULT_DONE) {
-      /* The daemon's processors can compute blocks that devices cannot. A worker's processors can
-       * compute all blocks. */
+      /* The daemon's CPUs can compute blocks that devices cannot. A worker's CPUs can compute all
+       * blocks. */
       const bool is_shard = lease->content.n_parameters > 0 && lease->content.back_end == MO_ON_CPU;
       const bool has_failed =
           result->state == MO_RESULT_FAILED || (result->state == MO_RESULT_UNSUPPORTED && is_shard);

@@ -1,5 +1,5 @@
-/* wire.c: encodes and decodes leases. Four need at most 100 MB, beside their grids, which are as
- * large as in the message. */
+/* wire.c: encodes and decodes leases. Four leases need at most 100 MB, not counting their grids,
+ * which are as large as in the message. */
 #include "fleet/wire.h"
 
 #include "fleet/wire_codec.h"

@@ -3,9 +3,10 @@
  * A worker sends one message of results and receives one message of leases. A lease has the
  * genotypes of bodies, the environments and physics to score them in, and the hash of the weights;
  * or it is a gradient shard, in which each robot is a block of one environment. A result has the
- * rows of one lease, and the sum of a shard. Numbers are little-endian, and floats keep their bits.
+ * rows of one lease, and the sum of a shard. Numbers are little-endian, and floats are transferred
+ * bit for bit.
  *
- *   message    header, then the items one after the other
+ *   message    header, then the items one after another
  *   header     "MOFLEET" and kind ('L' leases, 'R' results); u32 version; u32 items; u64 bytes of
  *              the whole message
  *   lease      u64 epoch; u64 number; u32 flags; u32 environments; u32 blocks; u32 rows; 32 bytes
@@ -16,7 +17,7 @@
  *   physics    packed; in version 1: 9 f64; u32 steps, impact, bisections
  *   options    f64 bound of the adjoint, weight, weight of restarts; u32 rule, parameters
  *   block      genotype (⌈voxels / 8⌉ bytes); u8 n; n × u16 environment
- *   result     u64 epoch; u64 number; u32 state; u32 rows; f64 processor seconds; f64 elapsed
+ *   result     u64 epoch; u64 number; u32 state; u32 rows; f64 CPU seconds; f64 elapsed
  *              seconds; rows × f64 loss; rows × u32 step of divergence; in state 3 (done with a
  *              gradient): u64 parameters; counts (6 u64, f64); parameters × f64 sum; in state 5
  *              (done with measures): u32 measures; u32 0; rows × measures × f64 (NaN: no value)
@@ -83,7 +84,7 @@ struct mo_wire_result {
   struct mo_lease_id id;
   enum mo_wire_state state;
   uint32_t n_rows; /* of the blocks, in their order; 0 unless MO_RESULT_DONE */
-  double busy_s;   /* processor (or device) seconds */
+  double busy_s;   /* CPU (or device) seconds */
   double wall_s;
   double *losses;                  /* (n_rows) +infinity: diverged */
   uint32_t *diverged_steps;        /* (n_rows) 0: did not diverge */
@@ -107,7 +108,7 @@ int mo_wire_put_leases(const struct mo_wire_leases *leases, struct mo_workspace 
                        uint8_t **bytes, size_t *size);
 int mo_wire_put_results(const struct mo_wire_results *results, uint8_t **bytes, size_t *size);
 /* Decode a message and check every value. MO_ERR_FORMAT: the message says what is wrong, and in
- * which item; MO_ERR_UNSUPPORTED: another version; MO_ERR_NO_MEMORY. After an error, there is
+ * which item; MO_ERR_UNSUPPORTED: a different version; MO_ERR_NO_MEMORY. After an error, there is
  * nothing to free. */
 int mo_wire_get_leases(const uint8_t *bytes, size_t size, struct mo_workspace workspace,
                        struct mo_wire_leases *leases, struct mo_message *message);

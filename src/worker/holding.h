@@ -24,7 +24,7 @@ void mo_holding_free(struct mo_holding *holding);
  */
 int mo_holding_set_workspace(struct mo_holding *holding, struct mo_workspace workspace);
 
-/* Takes ownership of a lease and its arrays. MO_ERR_LIMIT: MO_HELD_LEASES_MAX are held already;
+/* Takes ownership of a lease and its arrays. MO_ERR_LIMIT: MO_HELD_LEASES_MAX are already held;
  * MO_ERR_NO_MEMORY: the lease still belongs to the caller. */
 #define MO_HELD_LEASES_MAX 8
 int mo_holding_add(struct mo_holding *holding, struct mo_wire_lease *lease);

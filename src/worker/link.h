@@ -30,7 +30,7 @@ struct mo_link_config {
 
 struct mo_link;
 /* MO_ERR_INVALID: the server, the pin or the file of certificates; or a token would be sent in
- * clear text beyond loopback. MO_ERR_NO_MEMORY. */
+ * clear text to a host that is not on loopback. MO_ERR_NO_MEMORY. */
 int mo_link_create(const struct mo_link_config *config, struct mo_link **link,
                    struct mo_message *message);
 void mo_link_free(struct mo_link *link); /* NULL-safe */

@@ -4,7 +4,7 @@
  * session holds two leases, so that computing never waits for the network: the call that sends
  * results returns the next lease. A request for orders is open all the time; the daemon drops the
  * session as soon as its connection is closed. Results for a lost session are discarded, because
- * the daemon has given its work to others. */
+ * the daemon has given its work to other workers. */
 #ifndef MORPHO_WORKER_WORKER_H
 #define MORPHO_WORKER_WORKER_H
 
@@ -13,7 +13,7 @@
 
 enum mo_worker_end {
   MO_WORKER_LEFT,        /* as requested */
-  MO_WORKER_UNWANTED,    /* the daemon requires another version or class, or drains it for an
+  MO_WORKER_UNWANTED,    /* the daemon requires a different version or class, or drains it for an
                           * upgrade */
   MO_WORKER_REFUSED,     /* its bits are wrong: its canary or its session is refused */
   MO_WORKER_DENIED,      /* token or certificate */
