@@ -169,7 +169,7 @@ static int compare_scores(const void *a, const void *b)
   return p->position < q->position ? -1 : 1;
 }
 
-/* Keeps the nearest of each body, without the body itself, and sorts them by score. */
+/* Keeps the nearest entry of each body, drops the body itself, and sorts the rest by score. */
 static uint32_t sort_out(struct near *near, uint32_t n, uint64_t position)
 {
   uint32_t kept = 0;
@@ -181,7 +181,7 @@ static uint32_t sort_out(struct near *near, uint32_t n, uint64_t position)
   return kept;
 }
 
-/* Finds the similar bodies, the best first: (n), malloc. MO_ERR_NO_MEMORY. */
+/* Finds the similar bodies, best first: (n), malloc. MO_ERR_NO_MEMORY. */
 static int find_similar(const struct mo_atlas *atlas, uint64_t position, struct near **ret,
                         uint32_t *ret_n)
 {

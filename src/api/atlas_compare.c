@@ -16,7 +16,7 @@
 
 #define BINS_MAX     256
 #define BINS_DEFAULT 64
-#define PER_CHECK    65536 /* bodies between two looks at the request */
+#define PER_CHECK    65536 /* bodies between two checks of the request */
 
 struct comparison {
   struct mo_request *request;
@@ -29,7 +29,7 @@ struct comparison {
   double tau;       /* NaN: all bodies have one score in one of the atlases */
 };
 
-/* Looks now and then whether the client has left or the service stops. */
+/* Periodically checks whether the client has left or the service is stopping. */
 static bool is_over(const struct comparison *comparison, uint64_t i)
 {
   return i % PER_CHECK == 0 && mo_request_is_over(comparison->request);

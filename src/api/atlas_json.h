@@ -22,7 +22,7 @@ bool mo_atlas_query_body(struct mo_request *request, const struct mo_atlas_use *
                          uint64_t *position);
 /* Reads `steps`, as bits of enum mo_atlas_step; adding and removing if it is absent. */
 bool mo_atlas_query_steps(struct mo_request *request, unsigned *steps);
-/* Reads `voxels`: 1 to the most of the atlas; 0 if it is absent. */
+/* Reads `voxels`: 1 to the atlas's largest number; 0 if it is absent. */
 bool mo_atlas_query_voxels(struct mo_request *request, const struct mo_atlas_use *use,
                            uint32_t *n_voxels);
 /* Read `lo` and `hi`, which do not change if they are absent; lo must be below hi. */

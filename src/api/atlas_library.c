@@ -1,6 +1,6 @@
 /* atlas_library.c: see atlas_library.h.
  *
- * An entry is a file under a name, identified as the file system does. Every use looks the name up
+ * An entry is a file under a name, identified as by the file system. Every use looks the name up
  * again, so the files that jobs, requests and operators add, replace or remove are noticed at once,
  * and no other part of the service has to report them. An entry whose name leads elsewhere leaves
  * the list, and is freed when its last user releases it. */
@@ -20,7 +20,7 @@
 #define KEPT_BYTES     ((size_t)256 << 10) /* longer descriptions are written each time */
 #define ATTEMPTS       3                   /* to open a file that is being replaced */
 
-/* What identifies a file: another one, or another content, differs in one of these. */
+/* What identifies a file: a different file, or different content, differs in one of these. */
 struct identity {
   dev_t device;
   ino_t inode;
@@ -176,8 +176,7 @@ static uint64_t bytes_of(const struct mo_atlas_entry *entry)
   return parts > 0 ? parts * BYTES_PER_BODY * mo_atlas_bodies_of(entry->atlas) : 0;
 }
 
-/* Frees parts until `bytes` more fit: of the entry that was not used for the longest time, first
- * the basins. */
+/* Frees parts until `bytes` more fit: of the least recently used entry, basins first. */
 static void limit_memory(struct mo_atlas_library *library, uint64_t bytes)
 {
   for (;;) {
@@ -297,7 +296,7 @@ static int take(struct mo_atlas_library *library, const char *name, bool to_desc
   if (error != MO_OK)
     return error;
   entry->n_users++;
-  if (!to_describe) /* lists of all atlases do not make one worth keeping */
+  if (!to_describe) /* a list of all atlases does not make a file worth keeping */
     entry->used = ++library->clock;
   *ret = entry;
   return MO_OK;
@@ -314,8 +313,8 @@ static void leave(struct mo_atlas_library *library, struct mo_atlas_entry *entry
 
 /* ---- use ---- */
 
-/* Makes the basins of an entry that the caller uses. Only one thread does so at a time; queries go
- * on meanwhile. */
+/* Makes the basins of an entry that the caller uses. Only one thread does so at a time; queries
+ * continue in the meantime. */
 static int ensure_basins(struct mo_atlas_library *library, struct mo_atlas_entry *entry)
 {
   struct mo_atlas_basins *made = NULL;

@@ -3,9 +3,9 @@
  * A file is opened, and checked as a whole, when a request first needs it, and stays mapped. The
  * index (ranks) and the basins of a file take 8 bytes per body each, and are made when they are
  * first needed. At most MO_ATLAS_FILES_OPEN files are open and MO_ATLAS_MEMORY bytes used: the
- * parts that were not used for the longest time are freed first. What a request uses stays until it
- * is released, also if the file is deleted or replaced meanwhile; so these limits are exceeded for
- * a moment if many requests use many files. Without atlases, nothing is allocated. */
+ * least recently used parts are freed first. What a request uses stays until it is released, even
+ * if the file is deleted or replaced in the meantime; so these limits are briefly exceeded if many
+ * requests use many files. Without atlases, nothing is allocated. */
 #ifndef MORPHO_API_ATLAS_LIBRARY_H
 #define MORPHO_API_ATLAS_LIBRARY_H
 
@@ -26,7 +26,7 @@ struct mo_atlas_entry;
 struct mo_atlas_use {
   struct mo_atlas_entry *entry;
   const struct mo_atlas *atlas;
-  const struct mo_atlas_index *index;   /* NULL: not asked for */
+  const struct mo_atlas_index *index;   /* NULL: not requested */
   const struct mo_atlas_basins *basins; /* NULL: not in memory */
 };
 
@@ -59,8 +59,8 @@ enum mo_atlas_need { MO_ATLAS_NEED_FILE, MO_ATLAS_NEED_INDEX, MO_ATLAS_NEED_BASI
 
 /* Opens an atlas for a request, with the parts that it needs; basins that are in memory come with
  * every need. The caller releases it. MO_ERR_NOT_FOUND: no such atlas; MO_ERR_FORMAT,
- * MO_ERR_UNSUPPORTED, MO_ERR_CORRUPT: the file is damaged or of another kind, and message says what
- * to do; MO_ERR_IO, MO_ERR_NO_MEMORY. */
+ * MO_ERR_UNSUPPORTED, MO_ERR_CORRUPT: the file is damaged or of a different kind, and message says
+ * what to do; MO_ERR_IO, MO_ERR_NO_MEMORY. */
 int mo_atlas_use(struct mo_atlas_library *library, const char *name, enum mo_atlas_need need,
                  struct mo_atlas_use *use, struct mo_message *message);
 void mo_atlas_release(struct mo_atlas_library *library, struct mo_atlas_use *use);

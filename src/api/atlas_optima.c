@@ -1,15 +1,15 @@
 /* atlas_optima.c: the local optima with the largest basins, and which of these basins touch.
  *
  * Two basins touch where a body of one is a neighbor of a body of the other. A pair of neighbors is
- * found once, from its larger body. Only the bodies of the listed basins are looked at: a small
- * part of all. */
+ * found once, from its larger body. Only the bodies of the listed basins are examined: a small part
+ * of all bodies. */
 #include <stdlib.h>
 
 #include "api/atlas_json.h"
 
 #define OPTIMA_MAX     500
 #define OPTIMA_DEFAULT 200
-#define PER_CHECK      4096 /* bodies between two looks at whether the client is still there */
+#define PER_CHECK      4096 /* bodies between two checks that the client is still connected */
 
 struct optimum {
   uint32_t position, basin;
@@ -82,7 +82,7 @@ static uint32_t place_of(const struct mo_atlas_use *use, const struct network *n
   return low < network->n && network->positions[low] == optimum ? network->places[low] : OPTIMA_MAX;
 }
 
-/* Counts the pairs of a body and its neighbors with one voxel less. from: its optimum's place. */
+/* Counts the pairs of a body and its neighbors with one voxel fewer. from: its optimum's place. */
 static void count_pairs(const struct mo_atlas_use *use, struct network *network, uint64_t body,
                         uint32_t from)
 {

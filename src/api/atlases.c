@@ -51,7 +51,7 @@ void mo_api_get_atlas(struct mo_request *request)
   reply_atlas(request, 200, request->parameters[0]);
 }
 
-/* Appends a file that cannot be used to the list of those. */
+/* Appends a file that cannot be used to the list of unusable files. */
 static void note_unreadable(struct mo_api *api, struct mo_text *text, const char *name,
                             const char *reason)
 {
@@ -89,7 +89,7 @@ void mo_api_list_atlases(struct mo_request *request)
     if (is_damaged || is_closed)
       note_unreadable(api, &unreadable, names[i].text,
                       is_damaged ? message.text : MO_ATLAS_CANNOT_READ);
-    if (is_damaged || is_closed || error == MO_ERR_NOT_FOUND) /* it was deleted meanwhile */
+    if (is_damaged || is_closed || error == MO_ERR_NOT_FOUND) /* it was deleted in the meantime */
       error = MO_OK;
   }
   mo_text_add(&text, "],\"unreadable\":");

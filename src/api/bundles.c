@@ -135,7 +135,7 @@ static void reply_entered(struct mo_request *request, const struct mo_bundle_imp
   mo_reply_json(request, import->is_new ? 201 : 200, &text);
 }
 
-/* Replies with the reason why a bundle is refused. */
+/* Replies with the reason why a bundle is rejected. */
 static void reply_refusal(struct mo_request *request, int error,
                           const struct mo_bundle_import *import, const struct mo_message *message)
 {

@@ -127,7 +127,7 @@ static void leave_out(struct founders *founders, uint32_t i, const char *format,
   parts->genotypes[i] = (struct mo_bits){{0}};
   if (founders->n_noted > 0)
     known = bsearch(&key, parts->notes, founders->n_noted, sizeof(key), by_place);
-  if (known != NULL) { /* it has a note already: it was repaired, or given by its id */
+  if (known != NULL) { /* it already has a note: it was repaired, or given by its id */
     *known = key;
     parts->n_skipped++;
   } else if (!mo_parts_note(parts, &key)) {

@@ -247,7 +247,7 @@ const struct mo_resource mo_campaign_resource = {.kind = MO_JOB_CAMPAIGN,
 /* ---- submission ---- */
 
 /* Checks that the study with this label has the requested settings. Only then stores the key,
- * because the key of a refused request would answer the next one. reference: the requested
+ * because the key of a rejected request would answer the next one. reference: the requested
  * controller, or NULL. */
 static int check_found(struct mo_request *request, struct mo_post *post, const char *reference)
 {

@@ -1,5 +1,5 @@
 /* certificate_report.c: the report of a certificate, as JSON and CSV. It is computed from the
- * stored losses by each request: of a job that runs, from the trials that are complete. */
+ * stored losses by each request: for a running job, from the trials that are complete. */
 #include "api/certificates.h"
 
 #include <math.h>

@@ -1,7 +1,7 @@
 /* certificate_request.c: the body of POST /v1/certificates.
  *
  * What a request with a population leaves out is taken from that job at submission, so the reader
- * notes what was given. */
+ * records what was given. */
 #include "api/certificate_request.h"
 
 #include "rollout/physics.h"

@@ -173,7 +173,7 @@ static int submit(struct mo_request *request, struct mo_post *post)
   const bool invalid = error == MO_ERR_INVALID;
   if (invalid)
     mo_look_up_controller(api->store, parsed.request.controller, faults);
-  if (error == MO_OK || invalid) /* the job with this id may be of another kind */
+  if (error == MO_OK || invalid) /* the job with this id may be of a different kind */
     mo_look_up_job(api->store, population, parsed.population_kind, pointer, faults);
   if (error == MO_OK && faults->n > 0)
     error = MO_ERR_INVALID;

@@ -71,7 +71,7 @@ static const struct mo_field champion_rows[] = {
 #undef AT
 static const struct mo_fields fields = MO_FIELDS(champion_rows);
 
-/* A recording is the default only where the campaign's own environments are. */
+/* Recording is the default only in the campaign's own environments. */
 static int check(struct mo_json *json, void *any)
 {
   struct asked *asked = any;

@@ -1,4 +1,4 @@
-/* checkpoints.c: lists and deletes the checkpoints of trainings and campaigns. */
+/* checkpoints.c: lists and deletes the checkpoints of training runs and campaigns. */
 #include <string.h>
 
 #include "api/job_json.h"

@@ -1,6 +1,7 @@
-/* curves.c: the curves of a job: steps and validations of a training; generations and learning of a
- * campaign; the generations of a group of replicates; and the generations of any campaigns, one
- * campaign after another. Replies with pages of JSON, which tables.c converts to other formats. */
+/* curves.c: the curves of a job: steps and validations of a training run; generations and learning
+ * of a campaign; the generations of a group of replicates; and the generations of any campaigns,
+ * one campaign after another. Replies with pages of JSON, which tables.c converts to other
+ * formats. */
 #include <stdlib.h>
 #include <string.h>
 

@@ -115,7 +115,7 @@ static uint32_t survey_worlds(struct mo_json *json, struct mo_parts *parts, doub
   uint32_t n = parts->n_environments;
   *highest_m = 0;
   if (suite_of(parts) >= 0)
-    return mo_suite_environments(suite_of(parts)); /* refused where heights count */
+    return mo_suite_environments(suite_of(parts)); /* rejected where heights count */
   if (parts->environments == NULL) {
     of_set = malloc(MO_SET_ENVIRONMENTS_MAX * sizeof(*of_set));
     n = of_set != NULL

@@ -8,7 +8,7 @@
 #include "api/suite.h"
 #include "rollout/physics.h"
 
-/* The reply for a whole evaluation has at most so many measured numbers, about 60 MB: those of
+/* The reply for a whole evaluation has at most this many measured numbers, about 60 MB: those of
  * MO_DESIGNS_MAX designs on the paper's test set. Longer results are read in pages. In a suite each
  * rollout counts as its loss and its value. */
 #define MEASURED_MAX 2000000

@@ -2,7 +2,7 @@
  *
  * A request for leases or orders waits under its session's id, and mo_api_wake_session wakes it. If
  * there is nothing for it, it continues to wait. A worker always has a request for orders open as
- * its sign of life: when the client of this request leaves, the session is lost at once. */
+ * its heartbeat: when the client of this request leaves, the session is lost at once. */
 #include "api/fleet.h"
 
 #include <stdio.h>

@@ -41,20 +41,20 @@ void mo_member_warnings(struct mo_text *text, const struct mo_warning *warnings,
 
 /* Returns the state to show: a running job that waits for disk space is shown as paused. */
 enum mo_job_state mo_job_state_shown(const struct mo_job *job, const struct mo_live *live);
-/* Writes the members that jobs of every kind have, from state to error, and why a training or
+/* Writes the members that jobs of every kind have, from state to error, and why a training run or
  * campaign makes no progress. */
 void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const struct mo_live *live);
 /* Writes the paths of the resources that belong to a job. below: pairs of member and path, then
  * NULL. */
 void mo_links_write(struct mo_text *text, const struct mo_job *job, const char *const *below);
 
-/* Writes a training and leaves the object open. live: its current live state. population_kind: the
- * kind of the job record.population, if there is one. tasks: (record.n_environments) of a training
- * with tasks of its own; else NULL. */
+/* Writes a training run and leaves the object open. live: its current live state. population_kind:
+ * the kind of the job record.population, if there is one. tasks: (record.n_environments) of a
+ * training run with its own tasks; else NULL. */
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
                             enum mo_job_kind population_kind, const struct mo_environment *tasks,
                             const struct mo_live *live);
-/* Writes a training as an item of the list of jobs. status: struct mo_training_status. */
+/* Writes a training run as an item of the list of jobs. status: struct mo_training_status. */
 void mo_training_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 
 /* Writes a campaign and leaves the object open. live: its current live state. */

@@ -29,7 +29,7 @@ struct mo_resource {
   int64_t (*page)(struct mo_store *store, const struct mo_job_query *query, void *statuses,
                   size_t limit);
   /* Write the whole resource or its item in the list of its kind; and its item in the list of jobs.
-   * page and write are NULL for a kind that has no list of its own. */
+   * page and write are NULL for a kind without its own list. */
   int (*write)(struct mo_api *api, struct mo_text *text, const void *status,
                const struct mo_live *live, bool is_listed);
   void (*write_job)(struct mo_text *text, const void *status, const struct mo_live *live);

@@ -1,4 +1,4 @@
-/* learned.c: results of a training: its controller so far, and its held-out designs and
+/* learned.c: results of a training run: its controller so far, and its held-out designs and
  * environments. */
 #include <stdlib.h>
 

@@ -1,5 +1,5 @@
-/* replicates.h: one generation over several campaigns: the least, mean and most of each number over
- * the campaigns in which it is finite. Begin with zeros, add the campaigns, and finish. */
+/* replicates.h: one generation over several campaigns: the minimum, mean and maximum of each number
+ * over the campaigns in which it is finite. Begin with zeros, add the campaigns, and finish. */
 #ifndef MORPHO_API_REPLICATES_H
 #define MORPHO_API_REPLICATES_H
 

@@ -188,7 +188,7 @@ static void read_set(struct mo_json *json, struct mo_parts *parts)
   "all grids together may have at most %d heights; use smaller or fewer grids"
 
 /* Reads an array of 1 to MO_ENVIRONMENTS_MAX environments, each by `read`. Skips it if the request
- * has given another one already, which a check reports. */
+ * has already given another one, which a check reports. */
 static void read_list(struct mo_json *json, const char *what,
                       void (*read)(struct mo_json *json, struct mo_environment *environment),
                       struct mo_parts *parts)

@@ -52,8 +52,8 @@ extern const struct mo_field_own mo_name_field; /* a controller's: MO_NAME_BYTES
 bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t place);
 /* Adds a note about a design; with a fault, the design was skipped. False: out of memory. */
 bool mo_parts_note(struct mo_parts *parts, const struct mo_design_note *note);
-/* Reads a robot's notation or an id, perhaps after the letter d as in CSV files, into the words of
- * a genotype with a workspace: placed. Errors and *orientation as in mo_genotype_from_robot. */
+/* Reads a robot's notation or an id, optionally after the letter d, as in CSV files, into the words
+ * of a genotype with a workspace: placed. Errors and *orientation as in mo_genotype_from_robot. */
 int mo_robot_read(const char *text, size_t size, struct mo_genotype *genotype, int *orientation);
 void *mo_next_item(void **items, size_t n, size_t size); /* of a growing array; NULL: no memory */
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */

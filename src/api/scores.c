@@ -145,7 +145,7 @@ static void reply_entered(struct mo_request *request, const struct entering *ent
         (unsigned long long)entered->n_different, (unsigned long long)block->store, block->host);
 }
 
-/* Replies with the reason why a block is refused. */
+/* Replies with the reason why a block is rejected. */
 static void reply_refusal(struct mo_request *request, int error, const struct entering *entering,
                           const struct mo_message *message)
 {

@@ -27,7 +27,8 @@ struct mo_parsed_rollouts {
 int mo_rollouts_parse(const char *text, size_t size, struct mo_parsed_rollouts *parsed,
                       struct mo_faults *faults);
 
-/* Turns the times into steps, and adds faults: those that are not on a step of the physics. */
+/* Turns the times into steps, and adds a fault for each time that is not on a step of the
+ * physics. */
 void mo_states_check(struct mo_json *json, const struct mo_physics *physics,
                      struct mo_parsed_states *states);
 void mo_states_free(struct mo_parsed_states *states);

@@ -1,4 +1,4 @@
-/* studies.c: the actions of the client of a study: tell a batch, read its scores, ask for bodies,
+/* studies.c: the actions of the client of a study: submit a batch, read its scores, ask for bodies,
  * fetch the state of its sampler, finish the study. Everything else works as for any campaign. */
 #include <inttypes.h>
 #include <stdio.h>
@@ -188,7 +188,7 @@ void mo_api_get_study_batch(struct mo_request *request)
     reply_batch(request, id, 200);
 }
 
-/* ---- telling ---- */
+/* ---- submitting a batch ---- */
 
 static void reply_refused(struct mo_request *request, struct mo_post *post, int error,
                           const struct mo_telling_reply *reply)

@@ -1,7 +1,7 @@
 /* study_compare.c: see study_compare.h.
  *
  * The body is read a second time, over the study's settings instead of the defaults. If a setting
- * differs afterward, the request gave it another value. */
+ * differs afterward, the request gave it a different value. */
 #include "api/study_compare.h"
 
 #include <stdio.h>

@@ -122,7 +122,7 @@ static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t
   struct mo_bits *body = &parts->genotypes[parts->n_designs - 1];
   struct mo_design_note note = {.place = place};
   if (mo_genotype_count(MO_STORE_WORKSPACE, body->words) == 0)
-    return true; /* it has a fault already */
+    return true; /* it already has a fault */
   mo_genotype_place(MO_STORE_WORKSPACE, body->words);
   const struct mo_genotype placed = mo_genotype_of(MO_STORE_WORKSPACE, body);
   if (mo_fits_as_it_is(w, &placed))
@@ -222,8 +222,8 @@ static void read_children(struct mo_json *json, void *value)
     mo_json_fault_at(json, depth, "", "must be at most %d children, got %u", MO_DESIGNS_MAX, n);
 }
 
-/* Drops the room for scores if the study has no own score. A batch without children has scores,
- * too. */
+/* Drops the room for scores if the study has no score of its own. A batch without children has
+ * scores, too. */
 static int pack_scores(struct mo_study_batch *batch, bool has_scores)
 {
   if (has_scores && batch->scores == NULL)

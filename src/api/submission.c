@@ -57,7 +57,7 @@ const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const ch
   return known->text != NULL ? known : NULL;
 }
 
-/* Returns whether the key was used with another body. */
+/* Returns whether the key was used with a different body. */
 static bool key_conflicts(struct mo_store *store, const struct mo_post *post)
 {
   int64_t id;

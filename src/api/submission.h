@@ -35,8 +35,9 @@ void mo_post_sign(const struct mo_request *request, const struct mo_post *post,
                   struct mo_submission *job);
 /* Returns why the submission was not stored. */
 const char *mo_post_words(const struct mo_post *post, int error);
-/* Returns the key of a request about job `id`, filled into `known`. The same body for another job,
- * or for another action (`what`), counts as another request. Returns NULL if no key was sent. */
+/* Returns the key of a request about job `id`, filled into `known`. The same body for a different
+ * job or a different action (`what`) counts as a different request. Returns NULL if no key was
+ * sent. */
 const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const char *what,
                                             int64_t id, struct mo_request_key *known);
 
@@ -45,7 +46,7 @@ const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const ch
 bool mo_read_request(struct mo_request *request, const struct mo_fields *fields, void *parsed,
                      struct mo_parts *parts, int (*check)(struct mo_json *json, void *parsed),
                      const char *what);
-/* Replies that a body cannot be parsed, or that a key was used with another body. */
+/* Replies that a body cannot be parsed, or that a key was used with a different body. */
 void mo_reply_parse_error(struct mo_request *request, int error, const struct mo_faults *faults,
                           const char *what);
 void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults);

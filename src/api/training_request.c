@@ -147,7 +147,7 @@ static int check(struct mo_json *json, void *any)
   if (!parsed->has_kind)
     mo_json_fault_at(json, 0, "", "kind is missing; it must be \"pretrain\" or \"finetune\"");
   else if ((int)settings->kind < 0)
-    return MO_OK; /* reported already */
+    return MO_OK; /* already reported */
   if (parsed->has_kind && finetune)
     check_finetune(json, parsed);
   else if (parsed->has_kind)

@@ -1,4 +1,4 @@
-/* trainings.c: trainings: submission and state. */
+/* trainings.c: training runs: submission and state. */
 #include <math.h>
 #include <stdlib.h>
 
@@ -27,7 +27,7 @@ static uint32_t step_of(const struct mo_training_status *status, const struct mo
   return live->position > 0 ? live->position : status->checkpoint_step;
 }
 
-/* tasks: of a training with tasks of its own. */
+/* tasks: of a training run with its own tasks. */
 static void write_worlds(struct mo_text *text, const struct mo_training_record *record,
                          const struct mo_environment *tasks)
 {
@@ -170,7 +170,7 @@ static int read_status(struct mo_store *store, int64_t id, union mo_job_status *
   return mo_store_training(store, id, &status->training);
 }
 
-/* Returns the kind of the job whose designs a training learns from. */
+/* Returns the kind of the job whose designs a training run learns from. */
 static enum mo_job_kind population_kind(struct mo_store *store,
                                         const struct mo_training_status *status)
 {
@@ -209,7 +209,7 @@ const struct mo_resource mo_training_resource = {.kind = MO_JOB_TRAINING,
 
 /* ---- submission ---- */
 
-/* Parses and stores the training. */
+/* Parses and stores the training run. */
 static int submit(struct mo_request *request, struct mo_post *post)
 {
   struct mo_api *api = mo_api_of(request);
@@ -223,7 +223,7 @@ static int submit(struct mo_request *request, struct mo_post *post)
   const bool invalid = error == MO_ERR_INVALID;
   if (invalid)
     mo_look_up_controller(api->store, parsed.request.parent, faults);
-  if (error == MO_OK || invalid) /* the job with this id may be of another kind */
+  if (error == MO_OK || invalid) /* the job with this id may be of a different kind */
     mo_look_up_job(api->store, population, parsed.population_kind, pointer, faults);
   if (error == MO_OK && faults->n > 0)
     error = MO_ERR_INVALID;

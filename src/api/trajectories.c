@@ -9,7 +9,7 @@
 #include "api/scene.h"
 #include "store/worlds.h"
 
-/* Replies with one array, little-endian (the byte order of this machine: the build refuses others),
+/* Replies with one array, little-endian (the byte order of this machine: the build rejects others),
  * and the center of mass as float32. */
 static void reply_binary(struct mo_request *request, const struct mo_trajectory *t,
                          unsigned channel)

@@ -39,7 +39,7 @@ struct mo_connection {
    * has been idle since then, or its request (receiving: one has begun) has made no progress since
    * then. MO_NEVER: a complete request has arrived. */
   atomic_bool receiving;
-  _Atomic int64_t spare_us; /* MO_GAVE_WAY: closed already */
+  _Atomic int64_t spare_us; /* MO_GAVE_WAY: already closed */
   atomic_bool left;         /* the client has closed its end */
 };
 
@@ -51,7 +51,7 @@ void mo_connection_forget(struct mo_http *http, struct mo_connection *connection
 /* Closes all connections whose deadline has passed. */
 void mo_connections_expire(struct mo_http *http, int64_t now_us);
 
-/* Sets spare_us. Returns false if the connection was closed already; its request must then not be
+/* Sets spare_us. Returns false if the connection was already closed; its request must then not be
  * handled. */
 bool mo_connection_spare(struct mo_connection *connection, int64_t since_us);
 /* Closes the connection by shutdown, so that the I/O thread sees the end of file. detail

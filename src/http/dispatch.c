@@ -95,7 +95,7 @@ static bool admitted(struct mo_request *request)
   const bool is_open =
       (route != NULL && (route->flags & MO_ROUTE_OPEN)) || request->method == MO_OPTIONS;
   /* Workers use the service's name in their cluster, so any Host is accepted. A page at a rebound
-   * name does not have their token, and a wrong token is refused below. */
+   * name does not have their token, and a wrong token is rejected below. */
   const int known = http->config.token_if_any
                         ? mo_tokens_check(&http->tokens, framing->authorization, &request->caller)
                         : -1;

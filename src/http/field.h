@@ -21,7 +21,7 @@ bool mo_query_next(const char **query, struct mo_query_item *item);
 
 /* Reads decimal digits only; the value must be in min … max. */
 bool mo_decimal(const char *text, size_t n, int64_t min, int64_t max, int64_t *value);
-/* Reads the id of a job or row: 1 to 18 digits, the first not 0. */
+/* Reads the id of a job or row: 1 to 18 digits, the first digit not 0. */
 bool mo_id(const char *text, int64_t *id);
 
 /* Reads Prefer (RFC 7240). Returns the seconds of wait=N, at most `max`. Returns −1 if it is absent

@@ -2,8 +2,8 @@
  *
  * libmicrohttpd 0.9.75 accepts framing that two parsers may read differently (repeated, spaced or
  * folded Content-Length, unknown transfer codings, control bytes in names). Such requests are
- * refused and their connection is closed. Host and Origin are checked so that no web page can reach
- * the service by DNS rebinding. Tokens are compared in constant time. */
+ * rejected and their connection is closed. Host and Origin are checked so that no web page can
+ * reach the service by DNS rebinding. Tokens are compared in constant time. */
 #ifndef MORPHO_HTTP_GUARD_H
 #define MORPHO_HTTP_GUARD_H
 

@@ -59,7 +59,7 @@ struct mo_http_config {
   const gid_t *unix_groups; /* groups whose members may use the unix socket, besides root and the
                                service's own user */
   size_t n_unix_groups;
-  uint32_t n_io_threads;      /* libmicrohttpd's pool; 0: one per processor, at most 4 */
+  uint32_t n_io_threads;      /* libmicrohttpd's pool; 0: one per CPU, at most 4 */
   uint32_t max_connections;   /* above this, idle connections are closed, or new ones get 503 with
                                * Retry-After. Lower if the limit on open files requires it: see
                                * mo_http_get_stats */
@@ -102,7 +102,7 @@ struct mo_http_stats {
   uint64_t requests;
   int64_t heartbeat_us; /* monotonic: the older of the last heartbeats of the acceptor and the
                            clock. API threads do not count, because they may wait for the store's
-                           writer, which has a heartbeat of its own */
+                           writer, which has its own heartbeat */
 };
 
 /* Opens a listening socket: "127.0.0.1:8765", "[::1]:0", "name:8765" (first address of the name),
@@ -116,8 +116,8 @@ int mo_http_listen(const char *where, int *fd, char *address, struct mo_message 
 int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_message *message);
 
 /* Starts the server. A process may have several. GET /readyz is 503 until mo_http_set_ready.
- * MO_ERR_INVALID: a listener beyond loopback without tokens, a malformed token, a certificate and a
- * key that do not match, no listener; MO_ERR_NO_MEMORY; MO_ERR_IO. */
+ * MO_ERR_INVALID: no tokens although a listener is not on loopback, a malformed token, a
+ * certificate and a key that do not match, no listener; MO_ERR_NO_MEMORY; MO_ERR_IO. */
 int mo_http_start(const struct mo_http_config *config, const struct mo_http_service *service,
                   struct mo_http **http, struct mo_message *message);
 
@@ -126,7 +126,7 @@ int mo_http_check_certificate(const char *certificate, const char *key, struct m
 /* Closes the listening sockets, for a caller that fails before mo_http_start. */
 void mo_http_refuse_listeners(const struct mo_http_config *config);
 
-/* Sets readiness. While it is false (draining), /readyz returns 503 and new work is refused with
+/* Sets readiness. While it is false (draining), /readyz returns 503 and new work is rejected with
  * 503, but requests in flight are still answered. */
 void mo_http_set_ready(struct mo_http *http, bool ready);
 bool mo_http_is_ready(const struct mo_http *http);

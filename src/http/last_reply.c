@@ -1,8 +1,8 @@
 /* last_reply.c: replies that bypass libmicrohttpd and end their connection.
  *
- * The library cannot reply in the middle of a body. It answers requests that it cannot parse on its
- * own: in HTML, after some errors with two headers, and not at all when the connection's memory is
- * used up. So these replies are written directly to the socket. The socket is then shut down for
+ * The library cannot reply in the middle of a body. It answers requests that it cannot parse
+ * itself: in HTML, after some errors with two headers, and not at all when the connection's memory
+ * is used up. So these replies are written directly to the socket. The socket is then shut down for
  * writing, which discards anything that the library still wants to send.
  *
  * The library sends its own pages with MHD_queue_response. The definition in this file replaces

@@ -43,7 +43,7 @@ static void unlink_waiting(struct mo_request *request)
   request->wait_for = 0;
 }
 
-/* Parks a request while its handler waits. Returns false if the wait is over already. */
+/* Parks a request while its handler waits. Returns false if the wait is already over. */
 static bool park(struct mo_request *request)
 {
   struct mo_pool *pool = &request->http->pool;

@@ -7,7 +7,7 @@
 #define MO_QUEUED_MAX 256 /* requests that wait for an API thread, in each queue */
 #define MO_WAITING    256 /* lists of waiting requests */
 
-/* Each queue has threads of its own, so that a request never waits for another kind of request. */
+/* Each queue has its own threads, so that a request never waits for another kind of request. */
 enum mo_queue_kind { MO_QUICK, MO_LISTS, MO_ROLLOUTS, MO_HEAVY, MO_QUEUES };
 
 struct mo_api_thread {

@@ -81,7 +81,7 @@ struct mo_packer;
 #define MO_PACKER_BYTES 300000 /* memory of a packer */
 /* Begins: marks the reply as compressed. Returns NULL if the reply stays plain. */
 struct mo_packer *mo_packer_create(struct mo_request *request);
-/* Compresses a piece and appends the output that is ready, perhaps nothing; after the last piece,
+/* Compresses a piece and appends the output that is ready, possibly nothing; after the last piece,
  * all of it. */
 int mo_packer_add(struct mo_packer *packer, const struct mo_text *piece, bool last,
                   struct mo_text *out);

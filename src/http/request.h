@@ -1,8 +1,9 @@
 /* request.h: one request and its reply.
  *
- * Lifecycle of a request: - libmicrohttpd's URI callback creates the request when its target is
- * known. - The header is checked and the body is received. - Direct routes and refusals are
- * answered at once. For other routes the connection is suspended
+ * Lifecycle of a request:
+ * - libmicrohttpd's URI callback creates the request when its target is known.
+ * - The header is checked and the body is received.
+ * - Direct routes and refusals are answered at once. For other routes the connection is suspended
  *   and the request is queued for the API pool.
  * - An API thread handles the request. The request may be parked until something ends (pool.h).
  * - The connection is resumed, and its I/O thread sends the reply, logs the request and frees it.
@@ -121,7 +122,7 @@ struct mo_request *mo_request_begin(struct mo_connection *connection, struct MHD
 void mo_request_end(struct mo_connection *connection, bool complete);
 
 /* Returns whether the reply is no longer needed: the client has left, or the service is stopping. A
- * handler that works for seconds checks this now and then, and stops with MO_ERR_CANCELLED. */
+ * handler that works for seconds checks this periodically, and stops with MO_ERR_CANCELLED. */
 bool mo_request_is_over(const struct mo_request *request);
 
 /* ---- the memory of bodies and of large replies (body.c) ---- */
@@ -138,7 +139,7 @@ bool mo_body_memory_take(struct mo_http *http, uint64_t held, uint64_t more, boo
  * MO_ERR_CANCELLED: the body was dropped. */
 int mo_body_add(struct mo_request *request, const char *bytes, size_t n);
 /* Ends the receiving of the body, which can then no longer be dropped. Returns false if it was
- * dropped already. */
+ * already dropped. */
 bool mo_body_end(struct mo_request *request);
 /* Frees the body's memory once it has been read or is not needed. */
 void mo_request_drop_body(struct mo_request *request);

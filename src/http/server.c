@@ -83,7 +83,7 @@ void mo_http_refuse_listeners(const struct mo_http_config *config)
     close(config->listeners[i]);
 }
 
-/* Takes ownership of the listening sockets, and checks whether one is beyond loopback. */
+/* Takes ownership of the listening sockets, and checks whether one is not on loopback. */
 static int adopt_listeners(struct mo_http *http, const struct mo_http_config *config,
                            struct mo_message *message)
 {

@@ -31,7 +31,7 @@ struct mo_http {
   bool acceptor_started, clock_started;
   int stop_fd;  /* eventfd: stops the acceptor */
   int watch_fd; /* epoll: clients that leave, and tick_fd */
-  int tick_fd;  /* eventfd: a tick is wanted */
+  int tick_fd;  /* eventfd: a tick is requested */
   atomic_bool tick_wanted;
   int peers_fd; /* netlink socket for the users of loopback peers; −1: not available */
   uint32_t peers_sequence;
