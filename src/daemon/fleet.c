@@ -27,7 +27,7 @@
 #define BODY_MEMORY     (UINT64_C(256) << 20)
 #define BODY_TIMEOUT_MS 300000 /* 8 MiB at 250 kbit/s */
 
-/* Reads a text (malloc, with a NUL). A pipe is refused: reading it could block indefinitely. */
+/* Reads a text (malloc, with a NUL). A pipe is rejected: reading it could block indefinitely. */
 static int read_pem(const char *name, const char *path, char **text, struct mo_message *message)
 {
   struct stat status;

@@ -260,8 +260,8 @@ static int store_controller(struct service *service, const char *path, bool is_d
 }
 
 /* Stores the controllers of the first start: the default one as "default" and under the name of its
- * file, which remains when "default" is replaced; and, unless the settings name another, the other
- * installed ones. */
+ * file, which remains when "default" is replaced; and, unless the settings name a different one,
+ * the other installed controllers. */
 static int store_default_controller(struct service *service, const struct settings *settings,
                                     struct mo_message *message)
 {

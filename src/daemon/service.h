@@ -52,7 +52,7 @@ int service_reload_tokens(struct service *service, const struct settings *settin
 
 /* Accepts no new jobs from now on. */
 void service_drain(struct service *service);
-/* Returns whether no evaluation is being computed. A stop waits for evaluations. Trainings and
+/* Returns whether no evaluation is being computed. A stop waits for evaluations. Training runs and
  * campaigns would take hours, so a stop parks them at once. */
 bool service_is_idle(struct service *service);
 bool service_is_learning(struct service *service);

@@ -123,7 +123,7 @@ static void check_parent(const char *name, const char *path, struct settings_fau
   free(folder);
 }
 
-/* Checks the addresses of a list. Returns whether one is beyond loopback. */
+/* Checks the addresses of a list. Returns whether one is not on loopback. */
 static bool check_addresses(const char *name, const struct setting_list *list,
                             struct settings_faults *faults)
 {

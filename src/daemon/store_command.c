@@ -84,8 +84,8 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
   return error;
 }
 
-/* Computes samples of all classes that this processor supports, which are the classes of its
- * instruction sets. */
+/* Computes samples of all classes that this CPU supports, which are the classes of its instruction
+ * sets. */
 static int check_classes(struct mo_store *store, size_t n, uint64_t *n_differ)
 {
   struct mo_lattice *lattice = NULL;
