@@ -1,7 +1,7 @@
 /* cmd_campaign_compare.c: campaign compare: compares campaigns by their best scores at the newest
  * generation that all of them have reached. A campaign and its replicates form one side; their
  * spread gives the interval. Scores under different physics, environments or aggregates are not
- * comparable, so these are refused; other different settings are listed. */
+ * comparable, so such comparisons are rejected; other differences in settings are listed. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>

@@ -33,7 +33,7 @@ static void print_remarks(const json_t *report, const char *list, const char *ke
       print_wrapped(0, keep(format_text(format, text_of(remark, "axis"), text_of(remark, key))));
 }
 
-/* Returns the designs, best first; of equal ranks, in the order of the request. */
+/* Returns the designs, best first, ties in the order of the request. */
 static json_t *ranked_designs(const json_t *report)
 {
   const json_t *designs = json_object_get(report, "designs");
@@ -106,7 +106,7 @@ static void print_report(const struct ctl *ctl, const json_t *report)
   }
 }
 
-/* Prints the report in the form that the options say. */
+/* Prints the report in the form that the options request. */
 static void show_report(struct ctl *ctl, const char *id)
 {
   const char *path = path_to("/v1/certificates/%s/report", id);

@@ -1,4 +1,4 @@
-/* cmd_job.c: job show, cancel, pause, resume, weight; the same and prune for trainings and
+/* cmd_job.c: job show, cancel, pause, resume, weight; the same and prune for training runs and
  * campaigns; job label, experiment, note, archive, restore, delete; usage. */
 #include <inttypes.h>
 #include <math.h>

@@ -74,7 +74,7 @@ static void add_child(json_t *children, json_t *value)
   json_array_append_new(children, json_pack("{s:O}", "body", value));
 }
 
-/* Reads children: JSON objects, one after the other or in lists. */
+/* Reads children: JSON objects, one after another or in lists. */
 static json_t *read_children(const char *path)
 {
   json_t *children = keep(json_array());

@@ -16,7 +16,7 @@ static json_t *name_population(struct ctl *ctl, const char *id)
                    strcmp(text_of(job, "kind"), "campaign") == 0 ? "campaign" : "evaluation", id);
 }
 
-/* Adds the designs of a finetuning: designs in operands, random designs, or a population. */
+/* Adds the designs of a finetuning run: designs in operands, random designs, or a population. */
 static void fill_designs(struct ctl *ctl, bool finetune, json_t *request)
 {
   const json_t *random = random_of(ctl, "random-seed", DESIGNS_MAX);

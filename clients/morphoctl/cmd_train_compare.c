@@ -1,6 +1,6 @@
 /* cmd_train_compare.c: train compare: compares two controllers on one held-out set, rollout by
- * rollout. A trained controller carries the settings of its training, also when it came from
- * elsewhere; those that differ are listed, because the difference of the scores may be theirs. */
+ * rollout. A trained controller carries the settings of its training, even if it came from
+ * elsewhere; settings that differ are listed, because they may explain the difference in scores. */
 #include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
@@ -10,7 +10,7 @@
 #include "differences.h"
 #include "stats.h"
 
-#define PREFIX   "morphod." /* of the metadata that a training adds */
+#define PREFIX   "morphod." /* of the metadata that a training run adds */
 #define SETTINGS PREFIX "settings"
 
 struct side {
@@ -24,7 +24,7 @@ struct side {
   size_t rollouts, rollouts_diverged;
 };
 
-/* ---- trainings ---- */
+/* ---- training runs ---- */
 
 static void read_side(struct ctl *ctl, struct side *side)
 {
@@ -37,8 +37,8 @@ static void read_side(struct ctl *ctl, struct side *side)
     json_decref(recipe);
 }
 
-/* Returns what may explain a difference of scores, except the seed: members for differences_of.
- * trained: whether both have the entries that a training adds to the metadata. */
+/* Returns what may explain a difference in scores, except the seed: members for differences_of.
+ * trained: whether both have the entries that a training run adds to the metadata. */
 static json_t *conditions_of(const struct side *side, bool trained)
 {
   json_t *conditions = keep(json_object()), *value;

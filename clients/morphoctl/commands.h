@@ -22,7 +22,7 @@ void fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
 void request_fill(const struct ctl *ctl, json_t *request);
 /* Adds as "record" the channels of --record, else `usual` (nullable), and the masses for --film. */
 void request_fill_record(const struct ctl *ctl, json_t *request, const char *usual);
-/* Adds the measures of --measures; the service refuses unknown names. */
+/* Adds the measures of --measures; the service rejects unknown names. */
 void request_fill_measures(const struct ctl *ctl, json_t *request);
 /* Adds the --physics options, "key=value" each, to a request as "physics". */
 void request_fill_physics(const struct ctl *ctl, json_t *request);
@@ -137,7 +137,7 @@ void walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
                 void (*take)(void *context, json_t *item), void *context);
 /* Returns such items in an array. */
 json_t *collect(struct ctl *ctl, const char *path, size_t limit);
-/* Adds those of the options (up to NULL) that are given to a path, as its parameters. */
+/* Adds those of these options (up to NULL) that were given to a path, as parameters. */
 const char *path_with(const struct ctl *ctl, const char *path, const char *const *options);
 
 /* ---- plain.c ---- */

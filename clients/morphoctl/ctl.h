@@ -129,7 +129,7 @@ int64_t option_number(const struct ctl *ctl, const char *name, int64_t min, int6
 
 /* ---- plain.c: shows text from elsewhere without interpreting its escapes ---- */
 
-/* Replaces control characters (C0, DEL, C1) by question marks, and escapes characters that only
+/* Replaces control characters (C0, DEL, C1) with question marks, and escapes characters that only
  * change how others are shown, such as bidirectional ones: \u202e (malloc). Returns NULL if out of
  * memory. */
 char *plain_text(const char *text);

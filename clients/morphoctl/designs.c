@@ -1,4 +1,4 @@
-/* designs.c: see designs.h. The server checks bodies; this code refuses only what cannot be sent,
+/* designs.c: see designs.h. The server checks bodies; this code rejects only what cannot be sent,
  * with file and line. */
 #include "designs.h"
 

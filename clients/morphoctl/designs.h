@@ -1,11 +1,11 @@
 /* designs.h: reads bodies from files, standard input and operands, and converts them to the API's
  * format.
  *
- * Accepted, in any mixture, one after the other:
+ * Accepted, in any mixture, one after another:
  * - {"cells": [[x,y,z], …]}, {"voxels": "…"}, {"id": "…"}: one design; "name" is only for tables
  * - [design, …], {"designs": [design, …]}: many designs
- * - [[x,y,z], …]: the cells of one design. It is refused if they are not in one piece, and could
- *   be rows of materials of EvoGym
+ * - [[x,y,z], …]: the cells of one design. Rejected if they are not in one piece, and could be rows
+ *   of EvoGym materials
  * - 144 digits 0 and 1, optionally after a g: the voxels of one design
  * - 36 hexadecimal digits, optionally after a d: an id; followed by @0 to @7: a robot, which
  *   is the design in one orientation

@@ -26,8 +26,8 @@ struct follow {
   /* Receives each event. The event `reset`, with a different body, means that some events are no
    * longer kept. A non-zero result stops following. */
   int (*event)(void *context, const char *type, const char *data);
-  /* Called after the events of each sign of life, which is an event or a heartbeat (at least every
-   * 15 s). Nullable; true stops following. */
+  /* Called after each event or heartbeat (at least one every 15 s). Nullable; true stops
+   * following. */
   bool (*alive)(void *context);
   /* Called after each lost connection, before the stream is reopened. True stops following. */
   bool (*broken)(void *context);

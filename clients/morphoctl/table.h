@@ -2,9 +2,12 @@
  * error.
  *
  * "{place}" stands for the value at a place in the JSON, such as {progress.step}, and
- * "{place:form}" for the value in a format: (none)        a text or a whole number as it is ,
- * a count: 1,234 .4f .4g g     a number, as printf writes it .1%           a share in percent: 12.5
- * % .12           the first 12 bytes of a text
+ * "{place:form}" for the value in a format:
+ *   (none)        a text or a whole number as it is
+ *   ,             a count: 1,234
+ *   .4f .4g g     a number, as printf writes it
+ *   .1%           a share in percent: 12.5 %
+ *   .12           the first 12 bytes of a text
  *   #             how many items an array has
  *   s             an s, unless an array has one item
  *   time          a time of RFC 3339 as local time: 2026-11-21 13:15:02

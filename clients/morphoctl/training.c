@@ -1,4 +1,4 @@
-/* training.c: train show and watch: a training with its curves.
+/* training.c: train show and watch: a training run with its curves.
  *
  * On a terminal, train watch draws a plot of the loss and the numbers of the newest step; elsewhere
  * it prints a line per event. */
@@ -38,8 +38,8 @@ static void thin(struct curve *curve)
   curve->n = kept;
 }
 
-/* Adds a point, and removes earlier points at or beyond its x: after a crash, a training may resume
- * from an earlier step. */
+/* Adds a point, and removes earlier points at or beyond its x: after a crash, a run may resume from
+ * an earlier step. */
 static void add_point(struct curve *curve, double x, double y)
 {
   while (curve->n > 0 && curve->points[curve->n - 1].x >= x)
@@ -159,7 +159,7 @@ static void print(struct live *live)
       {"controller", CONTROLLER_WORDS("controller", "")}, JOB_TIME_FACTS, {NULL, NULL}};
   const struct training *training = (const struct training *)live;
   print_facts(live->ctl, live->job, facts);
-  /* Usually one line, or more if other code continued the training. */
+  /* Usually one line, or more if different code continued the run. */
   print_code(live->ctl, json_object_get(live->job, "code"));
   print_facts(live->ctl, live->job, last);
   char *plot = draw_plot(training, 78, 14);
