@@ -5,7 +5,7 @@
 
 const TOKEN_KEY = 'morphod-token';
 
-/** The daemon refused a request, or the connection failed (status 0). */
+/** The daemon rejected a request, or the connection failed (status 0). */
 export class ApiError extends Error {
   constructor(status, problem, retryAfterS) {
     super(problem.detail ?? problem.title ?? `The service replied with status ${status}.`);

@@ -304,7 +304,7 @@ export class AtlasFile {
     }
   }
 
-  /** Returns the distinct neighbors of a body, the best first: [{position, score, step}]. */
+  /** Returns the distinct neighbors of a body, best first: [{position, score, step}]. */
   neighborsOf(position, steps) {
     const found = new Map();
     this.#eachChange(this.cellsAt(position), steps, (cells, step) => {

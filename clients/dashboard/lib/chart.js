@@ -85,8 +85,8 @@ export class Chart {
    *          minimum?: number, maximum?: number, empty?: string, note?: string, isWhole?: boolean,
    *          xRange?: [number, number], xText?: function(number): string,
    *          yText?: function(number): string}} options isWhole: false if the axis has values
-   *          between whole numbers; xRange: fixes the axis, whatever the values; log: whether y
-   *          is logarithmic by default
+   *          between whole numbers; xRange: fixes the axis, regardless of the values; log: whether
+   *          y is logarithmic by default
    */
   constructor(options) {
     this.options = { key: '', xName: 'generation', height: 220, empty: 'No values yet.',

@@ -35,7 +35,7 @@ export class ChartGroup {
     this.hidden = new Set(listIn(parameters, 'hide', '|'));
   }
 
-  /** Refuses a link that names a chart that is not here. */
+  /** Rejects a link that names a chart that is not on the page. */
   check() {
     const keys = [...this.charts].map(({ options: { key } }) => key);
     const wrong = [...this.scales.keys(), ...[...this.hidden].map((one) => one.split('.')[0])]
@@ -104,7 +104,7 @@ export function timeUnit(seconds) {
   return seconds < 7200 ? { name: 'minutes', unitS: 60 } : { name: 'hours', unitS: 3600 };
 }
 
-/** Returns the choice of what x is, and how to zoom, to stand above the charts of a page. */
+/** Returns the row above the charts of a page: the choice of what x is, and how to zoom. */
 export function axisRow(axes, axis, chosen) {
   const choice = axes.length > 1 ? select('Horizontal axis', axes, axis, chosen) : null;
   choice?.classList.add('inline');

@@ -21,7 +21,7 @@ const DEVICE_ROLLOUTS = 1000;
 const springsOf = ({ voxels, id = voxels }) => 24 * [...id.split('@')[0]].reduce((n, digit) =>
   n + Number('0112122312232334'[parseInt(digit, 16)] ?? 0), 0) ** 0.85 || RANDOM;
 
-/** The time of rollouts is proportional to this; a processor takes two more for each block. */
+/** The time of rollouts is proportional to this; a CPU takes two more for each block. */
 const sizeOf = ({ rollouts, blocks, springs, steps }, device) =>
   (rollouts + (device === 'cpu' ? 2 * blocks : 0)) * steps * (260 + springs);
 
@@ -49,7 +49,7 @@ const partOf = (blocks, worlds, springs) => ({ rollouts: blocks * worlds, blocks
 /**
  * Returns what a request computes; null if it lacks designs.
  * @param {string} kind
- * @param {any} request with all numbers, also those that a preset stands for
+ * @param {any} request with all numbers, including those that a preset stands for
  * @param {{periodS: number, environments?: number, isUnknown?: boolean}} of periodS: of the
  *   controller; isUnknown: the bodies to learn on are
  * @returns {Plan|null}
@@ -140,7 +140,7 @@ function estimateOf(plan, rates, n) {
     return `${what}. Nothing like it was measured here.`;
   }
   const seconds = (scored?.seconds ?? 0) + (learned?.seconds ?? 0);
-  // The steps of a training run and the generations of a campaign follow each other.
+  // The steps of a training run and the generations of a campaign run one after another.
   const leastS = seconds / Math.min(n, scoring.blocks + (learning?.blocks ?? 0));
   const about = seconds < 0.01 ? 'less than' : plan.isSure && own === learned ? 'about' : 'roughly';
   return `${what}: ${about} ${countOf(Number(Math.max(0.01, seconds).toPrecision(2)),

@@ -80,8 +80,8 @@ async function bestOfEvaluation(job) {
 
 /**
  * Loads the facts of a job once: {task, measure, best}. They never change, except that an
- * evaluation has a best only once it has succeeded. What is not asked yet when the signal aborts is
- * never asked: the promise is rejected.
+ * evaluation has a best only once it has succeeded. What has not been requested when the signal
+ * aborts is never requested: the promise is rejected.
  * @param {any} job
  * @param {AbortSignal} signal
  */

@@ -20,11 +20,11 @@ export function scoreOf(design) {
   return `${design.lower_bound ? '≥ ' : ''}${score(design.score)}`;
 }
 
-/** Formats an own score of a study, in its unit. @param {{name: string, unit: string}} own */
+/** Formats a study's own score, in its unit. @param {{name: string, unit: string}} own */
 export const inOwnUnit = (own, value) => `${number(value, 5)}${own.unit ? ` ${own.unit}` : ''}`;
 
 /**
- * Formats a score of a campaign: an own score of a study, or a score of the service.
+ * Formats a score of a campaign: a study's own score, or a score of the service.
  * @param {{name: string, unit: string}|null|undefined} own
  */
 export const scoreBy = (own, design) => (own ? `${own.name} ${inOwnUnit(own, design.score)}`

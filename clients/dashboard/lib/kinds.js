@@ -12,7 +12,7 @@ import { count, countOf } from './format.js';
 /** Members that only one kind has: a list of jobs has them in a member of that name. */
 export const partOf = (job) => job[job.kind] ?? job;
 
-/** The progress of a job; lists have it in brief. */
+/** The progress of a job; lists have it in a short form. */
 const progressIn = (job) => job.progress ?? { under_way: null, total: 0, ...partOf(job) };
 
 /** What a campaign does within a generation, by its phase, and what is counted. */
@@ -179,8 +179,8 @@ export const kindName = (job) => (study.only(job) ? 'study' : job.kind);
 /** Returns the row of a job's kind. @returns {Kind} */
 export const kindOf = (job) => KINDS[kindName(job)];
 
-/** Returns a resource of its own kind with the members that all jobs have: a training calls what it
- * does its kind, which is here trainingKind. */
+/** Returns a resource of its own kind with the members that all jobs have: the `kind` of a training
+ * run becomes trainingKind. */
 export const asJob = (kind, item) =>
   (kind === 'training' ? { ...item, trainingKind: item.kind, kind } : { ...item, kind });
 
@@ -204,7 +204,7 @@ export function replicateOf(job) {
   return group?.replicates > 1 ? `, replicate ${group.replicate + 1} of ${group.replicates}` : '';
 }
 
-/** Returns an own score of a study or a measure that ranks a campaign, or null. */
+/** Returns a study's own score, or the measure that ranks a campaign, or null. */
 export const ownScoreOf = (job) => partOf(job).own_score ?? null;
 
 /** Returns the seed of a job in a list; undefined if it has none there. */
@@ -229,7 +229,7 @@ export function stateOf(job) {
   return job.state + (warned.length ? `, but ${warned.join(', ')}` : '');
 }
 
-/** Returns whether the progress of a job changes without news of the job. */
+/** Returns whether the progress of a job changes without events of the job. */
 export const isMoving = (job) =>
   job.state === 'running' || (job.state === 'queued' && job.n_waiting > 0);
 

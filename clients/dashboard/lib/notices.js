@@ -1,4 +1,4 @@
-/** Notices at the end of runs for which the user wants one, also while the tab is hidden. */
+/** Notices at the end of runs, where the user requested one, even while the tab is hidden. */
 
 import { getJson, storing } from './api.js';
 import { announce, toggle } from './dom.js';

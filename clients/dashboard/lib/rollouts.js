@@ -138,9 +138,9 @@ export function windowOf({ dt_s: stepS = STEP_S } = {}) {
 }
 
 /**
- * Simulates n windows of a drive, from the states at the end of the window before, if any. Returns
- * per rollout the frames of each window, without the one that it starts from, and the state at the
- * end, and the inputs as in the header of a scene.
+ * Simulates n windows of a drive, from the states at the end of the previous window, if any.
+ * Returns per rollout the frames of each window, without the one that it starts from, and the state
+ * at the end, and the inputs as in the header of a scene.
  * @param {Object[]} designs
  * @param {Object} environment
  * @param {{controller?: string, physics?: Object, precision?: string, signal?: AbortSignal,

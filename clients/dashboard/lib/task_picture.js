@@ -1,12 +1,12 @@
 /**
- * Pictures of tasks, drawn from what a request asks for: from above, the way and the light; below
+ * Pictures of tasks, drawn from what a request asks for: from above, the path and the light; below
  * them, the ground from the side.
  */
 
 import { svg } from './dom.js';
 import { spelledOut } from './tasks.js';
 
-/** Pixels: the box of the way, and the largest scale, per meter. */
+/** Pixels: the box of the path, and the largest scale, per meter. */
 const [LEFT, TOP, WIDE, HIGH, SCALE_MAX] = [7, 6, 50, 21, 40];
 /** Ground is drawn this much steeper than it is, and at most this high, from the lowest place. */
 const [STEEPER, GROUND_HIGH, GROUND_Y] = [40, 9, 41];
@@ -40,7 +40,7 @@ function moved({ light_xy_m: lamp, velocity_m_per_s: [dx, dy] = [0, 0], turn_rad
 }
 
 function followed({ points_m: points }) {
-  // Ways there and back on one line are drawn next to each other.
+  // Paths there and back on one line are drawn next to each other.
   const isLine = points.every(([, y]) => y === START_M[1]);
   const way = [START_M, ...points].map(([x, y], i) => [x, isLine ? y - 0.14 * i : y]);
   return { way, points: way.slice(1, -1), lamp: way.at(-1) };

@@ -54,7 +54,7 @@ export function pointsIn(text) {
     point.length === 2 && point.every((value) => Math.abs(value) <= FAR_M)) ? points : null;
 }
 
-/** Writes way-points so. @param {number[][]} points */
+/** Writes way-points in that form. @param {number[][]} points */
 export const pointsText = (points) => points.map((point) => point.join('_')).join(',');
 
 const DRAWN = 'drawn:';
@@ -166,7 +166,8 @@ export const worldWords = ({ set, environments }) => (set ? `mean over the ten w
 
 /**
  * Describes a loss of the task `photo`, which is the distance to the light at the end over that at
- * the start: [what stands out, the rest of the sentence]. The share of the way is rounded down.
+ * the start: [what stands out, the rest of the sentence]. The share of the distance is rounded
+ * down.
  */
 export function wayOf(loss) {
   if (loss === null) return ['It diverged', ', so it has no score.'];
@@ -191,7 +192,7 @@ export function taskNameOf(named, environments) {
   return set ? set[1] : taskWords(environments) || 'photo';
 }
 
-/** Describes where a training learns: in a set, in listed environments, or in random ones. */
+/** Describes where a training run learns: in a set, in listed environments, or in random ones. */
 export function worldsOfTraining({ settings: { environments, tasks } }) {
   if (tasks) {
     const names = tasks.map((task) => (task.objective === 'reach' && task.guide.kind === 'fixed'

@@ -1,10 +1,10 @@
 /**
- * Driving: robots that follow a light which moves while they walk.
+ * Driving: robots that follow a light that moves while they walk.
  *
- * The service computes short windows, each from the state at the end of the window before, ahead of
- * the time that is shown. If the light moves, the windows that do not play yet are computed again.
- * While replies are slow, a request is for several windows, and has a state only at its end.
- * Nothing is extrapolated: if the service is late, the last frame stays.
+ * The service computes short windows, each from the state at the end of the previous window, ahead
+ * of the time that is shown. If the light moves, the windows that have not started to play are
+ * computed again. While replies are slow, a request is for several windows, and has a state only at
+ * its end. Nothing is extrapolated: if the service is late, the last frame stays.
  */
 
 /** How far ahead windows are computed while the light rests. */
@@ -226,7 +226,7 @@ export class Drive {
     this.#pump();
   }
 
-  /** Accepts windows, unless the one that the first replaces plays already. */
+  /** Accepts windows, unless the one that the first replaces is already playing. */
   #take(at, windows) {
     if (at < this.end) {
       const playsS = this.timeS + (this.playing

@@ -96,7 +96,7 @@ let software;
 /** Returns whether the browser draws without a graphics processor. */
 export function isSoftware() {
   if (software === undefined) {
-    // A context of its own, because that decides how the others are made.
+    // A separate context, because the result decides how the other ones are made.
     const gl = document.createElement('canvas').getContext('webgl2');
     const about = gl?.getExtension('WEBGL_debug_renderer_info');
     const name = gl?.getParameter(about ? about.UNMASKED_RENDERER_WEBGL : gl.RENDERER) ?? '';

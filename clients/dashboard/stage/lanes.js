@@ -1,6 +1,6 @@
 /**
- * Lanes of a race. All robots start at the same place; each is drawn with a shift of its own across
- * the line from the start to the light, with a strip of its terrain. Recordings are not changed.
+ * Lanes of a race. All robots start at the same place; each is drawn with its own shift across the
+ * line from the start to the light, with a strip of its terrain. Recordings are not changed.
  */
 
 import { heightAt, project } from './math.js';
@@ -20,7 +20,7 @@ const LENS = 3;
 /** A light that leads is drawn this close to its robot, to stay within the lane. */
 const LEAD_M = 0.45;
 const LAMP_M = 0.06;
-/** Masses are looked at in every n-th frame. */
+/** Masses are checked in every n-th frame. */
 const EVERY = 3;
 
 /** Whether the light of a robot only shows the way: the distance to it does not count. */

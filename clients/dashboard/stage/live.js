@@ -30,7 +30,7 @@ export class Live {
       sunFrom: robots[0].world.sunFrom ?? robots[0].world.light };
     /** The masses of each robot at the start. */
     this.starts = robots.map(({ track, body }) => track.slice(0, 3 * body.nMasses));
-    /** The stage replaces these by its own. @type {import('./stage.js').Robot[]} */
+    /** The stage replaces these with its own. @type {import('./stage.js').Robot[]} */
     this.robots = robots.map((before) => {
       const { body: { nMasses, nSprings }, track, actuation, contacts } = before;
       /** @type {import('./stage.js').Robot} */

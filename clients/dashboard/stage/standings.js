@@ -66,7 +66,8 @@ export class Standings {
     this.update(false);
   }
 
-  /** Shows the order at the current time. @param {boolean} isMoving time runs: now and then */
+  /** Shows the order at the current time. @param {boolean} isMoving time runs: update only
+   * periodically */
   update(isMoving) {
     const { stage, race } = this;
     if (this.element.hidden) return;

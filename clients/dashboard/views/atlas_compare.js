@@ -1,4 +1,4 @@
-/** Two atlases compared: how many bodies have which score in the one and in the other. */
+/** Two atlases compared: how many bodies have which pair of scores. */
 
 import { announce, choice, fill, h, paint, say } from '../lib/dom.js';
 import { count, score } from '../lib/format.js';

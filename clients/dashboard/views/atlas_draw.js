@@ -10,7 +10,7 @@ import { Cells } from './lab_cells.js';
 import { Shape } from './lab_shape.js';
 
 const UNDO_MAX = 100;
-/** Narrower pages show the layers when they are asked for. */
+/** Narrower pages show the layers on request. */
 const WIDE_PX = 900;
 
 export class AtlasDraw {

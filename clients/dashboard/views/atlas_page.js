@@ -27,8 +27,8 @@ const shareOf = (percentile) => `${(Math.floor(percentile * 100) / 100)
 const kindOfTask = ({ objective, guide }) => JSON.stringify([objective, guide.kind,
   guide.points_m]);
 
-/** Returns the name of the task in the forms, or its objective in words, and what its worlds have
- * besides. */
+/** Returns the name of the task in the forms, or its objective in words, and what else its worlds
+ * have. */
 export function taskTitle(environments) {
   const [{ task, terrain, damage }] = environments;
   const words = taskWords(environments);

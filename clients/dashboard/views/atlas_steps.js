@@ -1,4 +1,4 @@
-/** Where steps of one voxel lead from a body: its best changes, and the way to a local optimum. */
+/** Where steps of one voxel lead from a body: its best changes, and the path to a local optimum. */
 
 import { h, patch, say } from '../lib/dom.js';
 import { countOf, voxels } from '../lib/format.js';
@@ -34,7 +34,7 @@ export class AtlasSteps {
     for (const words of [this.changesWords, this.wayWords]) say(words, '');
   }
 
-  /** Larger bodies than those of the atlas may be better. */
+  /** Bodies larger than those of the atlas may be better. */
   #bound({ voxels: n }) {
     const { voxels_max: most } = this.page.about;
     return n === most ? ` (bodies of ${most + 1} voxels are not in this atlas)` : '';
@@ -73,7 +73,7 @@ export class AtlasSteps {
       : `${countOf(steps, 'step')} of steepest ascent, by adding and removing voxels, to a local ` +
       'optimum' +
       `${top.id === best.id ? ': the best of all' : ''}`);
-    // Each is turned like the one before, so that the eye follows the change.
+    // Each is turned like the previous one, so that the eye follows the change.
     let like = genotype;
     const shown = way.items.map((one, i) => {
       const from = like;

@@ -1,4 +1,5 @@
-/** The stage of an atlas: the body walks if somebody has a rollout of it, or else stands still. */
+/** The stage of an atlas: the body walks if a rollout of it is available, and otherwise stands
+ * still. */
 
 import { bodyOf } from '../lib/body.js';
 import { h, say } from '../lib/dom.js';

@@ -59,7 +59,7 @@ export class CampaignCurves {
     this.shared = shared;
     const { id, others, get, job, app, parameters } = shared;
     const ids = [id, ...others];
-    // A study with scores of its own need not compute any rollouts.
+    // A study with its own scores need not compute any rollouts.
     const axes = AXES.filter((axis) => axis !== 'rollouts' || !job().study?.own_score);
     this.axis = axisIn(parameters, axes);
     this.group = new ChartGroup(parameters, app.keep);
@@ -103,7 +103,7 @@ export class CampaignCurves {
       this.#show();
       await this.compared?.refresh();
     }
-    if (fresh[0] || this.stage.isEmpty) this.champions.refresh(); // they come when they come
+    if (fresh[0] || this.stage.isEmpty) this.champions.refresh(); // no need to wait for them
   }
 
   #show() {

@@ -36,7 +36,7 @@ const two = (value) => value.toFixed(2).replace('-', '−');
 const interval = (ends) => h('span.muted.interval', {},
   ends ? ` ${ends.map(two).join(' to ')}` : '');
 
-/** The report of what is complete. */
+/** The report of the complete trials. */
 class Report {
   constructor({ app, id, get, job, parameters }) {
     this.id = id;

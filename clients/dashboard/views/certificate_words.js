@@ -1,4 +1,5 @@
-/** What the axes and levels of a certificate are called, and what it says of a design in brief. */
+/** What the axes and levels of a certificate are called, and what it says about a design, in a few
+ * words. */
 
 import { countOf } from '../lib/format.js';
 

@@ -28,7 +28,7 @@ export class CampaignStage {
     return !this.isTaken && !this.player.stage?.robots.length;
   }
 
-  /** Leaves the stage to others: what was requested for it does not walk any more. */
+  /** Leaves the stage to others: what was requested for it no longer walks. */
   take() {
     this.turn = (this.turn ?? 0) + 1;
     this.isTaken = true;

@@ -79,7 +79,7 @@ export class Comparison {
 
   async refresh() {
     this.sides ??= await this.#load();
-    // Own scores of a study may be negative.
+    // A study's own scores may be negative.
     this.chart.options.log = !this.sides.some(({ campaign }) => campaign.own_score);
     await Promise.all(this.sides.flatMap(({ curves }) => curves.map((curve) => curve.refresh())));
     const best = ({ rows }) => rows.map((row) => row.score.quantiles.p0 ?? NaN);

@@ -17,7 +17,8 @@ import { copyButton } from './share.js';
  * @returns {{element: HTMLElement, destroy: () => void}}
  */
 export function comparison(app, controllers, signal) {
-  // The newest file of a training, compared with the default: two names of one file are the same.
+  // The newest file of a training run, compared with the default: two names of one file are the
+  // same.
   const names = controllers.map(({ name }) => name);
   const first = controllers.find(({ name }) => name === 'default') ?? controllers[0];
   const other = [...controllers].sort((x, y) => y.stored_at.localeCompare(x.stored_at))

@@ -11,7 +11,7 @@ const ROBOTS_MAX = 64;
 /** How much of a drive is kept for films and recordings: this long, or this many bytes. */
 const KEEP_S = 60;
 const KEEP_BYTES = 96e6;
-/** The time runs on this often even if pictures take longer. */
+/** Time advances this often even if pictures take longer. */
 const TICK_MS = 40;
 /** A wait that lasts longer is reported. */
 const LATE_MS = 150;
@@ -121,7 +121,7 @@ export class Driving {
   async #roll({ light, states, n, signal }) {
     const { environment, physics, precision, controller } = this.world;
     const world = { ...requested(environment), light_xy_m: light };
-    delete world.task; // a task has a light of its own
+    delete world.task; // a task has its own light
     const { robots } = this.live;
     const groups = new Map();
     robots.forEach((robot, i) => {
@@ -229,7 +229,7 @@ export class Driving {
     this.player.setRobots(robots);
   }
 
-  /** Goes on driving, paused, after `suspend`. */
+  /** Continues driving, paused, after `suspend`. */
   resume() {
     if (!this.player.canvas.isConnected) {
       this.close(); // the page was left

@@ -11,7 +11,7 @@ import { toScene } from '../export/scene.js';
 import { drivenRobots, pathOf } from '../stage/driven.js';
 import { commandSections, exportDialog, save } from './share.js';
 
-/** Shows the drive as a recording, and the dialog; afterwards, the drive can go on. */
+/** Shows the drive as a recording, and the dialog; afterwards, the drive can continue. */
 export function saveDialog(driving) {
   const { player, drive, live, world } = driving;
   const { name } = world;

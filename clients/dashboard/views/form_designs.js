@@ -1,4 +1,4 @@
-/** Fields for designs: those of an evaluation, and those that a finetuning learns on. */
+/** Fields for designs: those of an evaluation, and those that a finetuning run trains on. */
 
 import { getJson, post } from '../lib/api.js';
 import { h } from '../lib/dom.js';
@@ -9,7 +9,8 @@ export const designsIn = (text) => text.split('\n').map((line) => line.trim()).f
 export const DESIGNS_HINT = 'one design per line: a robot (ID@K), an id of 36 digits, or 144 ' +
   'digits of voxels';
 
-/** The designs of a finetuning: fields, their part of the request, and morphoctl's arguments. */
+/** The designs of a finetuning run: fields, their part of the request, and morphoctl's
+ * arguments. */
 export class LearnedOn {
   constructor() {
     const number = (name, value, max) => h('input', { type: 'number', name, min: 1, max, value });

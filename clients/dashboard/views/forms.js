@@ -102,8 +102,8 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {
   /** Explains the field in focus; screen readers read it with the field. */
   const hint = h('p.hint.wide.muted', { 'aria-hidden': 'true' });
 
-  /** Returns the request without what a finetuning learns on; isWhole: with the numbers that empty
-   * fields stand for. */
+  /** Returns the request without what a finetuning run trains on; isWhole: with the numbers that
+   * empty fields stand for. */
   function body(isWhole = false) {
     /** @type {any} */
     const result = { ...fixed };

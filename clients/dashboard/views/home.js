@@ -1,4 +1,5 @@
-/** Home: the best robot of the store walks, with what its score means, and three ways on. */
+/** Home: the best robot of the store walks, with what its score means, and three ways to
+ * continue. */
 
 import { getJson, withQuery } from '../lib/api.js';
 import { cellsOf, genotypeOfId } from '../lib/body.js';
@@ -11,15 +12,15 @@ import { roll, scoresOf, worldsOf } from '../lib/rollouts.js';
 import { TASKS, betterOf, pointsText, resultOf, wayOf, worldWords } from '../lib/tasks.js';
 import { Player } from '../stage/player.js';
 
-/** The world of the task in which the robot walks here, if there are so many. */
+/** The world of the task in which the robot walks here, if there are that many. */
 const SHOWN = 3;
-/** So many of the best are on the stage. */
+/** This many of the best are on the stage. */
 const STAGED = 4;
 const COUNTS = ['no', 'one', 'two', 'three', 'four'];
 const POLL_MS = 5000;
 /** Events within this time are answered together. */
 const PAUSE_MS = 1000;
-/** So many running jobs are named. */
+/** This many running jobs are named. */
 const NAMED = 3;
 
 /**
@@ -197,7 +198,8 @@ export async function mount(main, path, parameters, app) {
   };
 }
 
-/** The door to evolution: the form of a small campaign, or the campaigns for who may only look. */
+/** The door to evolution: the form of a small campaign, or, for users who may only look, the
+ * campaigns. */
 function evolveDoor(app) {
   const inside = (text) => [h('strong', {}, 'Evolve'), h('span', {}, text)];
   if (!may('submit')) {

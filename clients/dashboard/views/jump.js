@@ -7,7 +7,7 @@ import { nameOf } from '../lib/names.js';
 import { tray } from '../lib/tray.js';
 import { showDialog } from './share.js';
 
-/** So many of the newest runs and the best designs can be found, and so many are listed. */
+/** This many of the newest runs and the best designs can be found, and this many are listed. */
 const RUNS = 200;
 const DESIGNS = 200;
 const SHOWN = 12;

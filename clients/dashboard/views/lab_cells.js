@@ -3,7 +3,7 @@
 import { WORKSPACE, hasVoxel } from '../lib/body.js';
 import { h } from '../lib/dom.js';
 
-/** A fast pointer reports places far apart; the line between them is looked at this often. */
+/** A fast pointer reports places far apart; the line between them is sampled this often. */
 const STEP_PX = 6;
 const KEYS = {
   ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0],

@@ -21,7 +21,7 @@ const ARCHIVES = [['', 'not archived'], ['true', 'archived'], ['all', 'including
 const [FIRST, MORE] = [100, 1000];
 const POLL_MS = 2000;
 
-/** What the link asks for. */
+/** What the link requests. */
 function readLink(parameters) {
   const of = (name, choices) => {
     const value = parameters.get(name) ?? '';
@@ -107,7 +107,7 @@ export async function mount(main, [id], parameters, app) {
   const none = h('p.empty');
   const shown = h('span.muted', { role: 'status' });
   const more = button('Show more', () => {
-    wanted = Math.max(wanted, list.scanned) + MORE; // an order reads more than is wanted
+    wanted = Math.max(wanted, list.scanned) + MORE; // sorting reads more than was requested
     reload();
   });
   const rowOf = (key) => rows.items.get(key);
@@ -204,7 +204,7 @@ export async function mount(main, [id], parameters, app) {
     show();
   }
 
-  /** Refreshes, or says why the rows are still those of before. */
+  /** Refreshes, or says why the rows are still the old ones. */
   async function reload() {
     try {
       await refresh();

@@ -17,7 +17,7 @@ export async function periodOf(job, get) {
 
 const time = (text) => (text ? new Date(text).toLocaleString() : null);
 
-/** Returns what is no setting of the request: names and texts. */
+/** Returns what is not a setting of the request: names and texts. */
 function facts(job) {
   const file = kindOf(job).kind === 'training' ? job.parent : job.controller;
   return [

@@ -17,7 +17,7 @@ async function settingsOf(job, get) {
   add('Controller', file ? `${file.name ?? ''} (${file.sha256.slice(0, 12)})` : 'random weights');
   add('Device', job.device);
   const worlds = kind.worlds(job);
-  if (worlds && typeof worlds !== 'string') { // equal numbers may be of other environments
+  if (worlds && typeof worlds !== 'string') { // equal numbers may stand for different environments
     const places = await placesOf(job, get);
     rows.get('environments').text = `${inWords('environments', worlds)} ` +
       `(${places.map((one) => one.sha256.slice(0, 6) || placeOf(one)).join('; ')})`;

@@ -114,7 +114,7 @@ export async function mount(main, path, parameters, app) {
   };
 }
 
-/** Refuses a link with an invalid view. @param {URLSearchParams} parameters */
+/** Rejects a link with an invalid view. @param {URLSearchParams} parameters */
 function checkView(parameters, { n, nRobots: count }) {
   const nRobots = count();
   const check = (name, isRight, expected) => {
@@ -289,7 +289,7 @@ function checkCount(n) {
   }
 }
 
-/** Reads a list of designs; refuses anything else. */
+/** Reads a list of designs; rejects anything else. */
 function designsOf(text) {
   const all = text.split(',').filter(Boolean);
   const wrong = all.find((one) => !isDesign(one));

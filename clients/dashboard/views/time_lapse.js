@@ -1,4 +1,4 @@
-/** Time-lapse of evolution: the champion of each generation walks, one after the other. */
+/** Time-lapse of evolution: the champion of each generation walks, one after another. */
 
 import { announce, button, h, say } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';

@@ -67,7 +67,8 @@ class TrainingCurves {
     this.ids = [id, ...others];
     this.steps = this.ids.map((one) => new Curve(`v1/trainings/${one}/steps`));
     this.validations = this.ids.map((one) => new Curve(`v1/trainings/${one}/validations`));
-    /** Trainings that differ only in their seeds are replicates: one band shows a group of them. */
+    /** Training runs that differ only in their seeds are replicates: one band shows a group of
+     * them. */
     this.groups = this.ids.map((one, i) =>
       ({ name: others.length ? `training ${one}` : '', of: '', members: [i] }));
     this.found = null;
@@ -103,7 +104,7 @@ class TrainingCurves {
     this.groups = [...new Set(keys)].flatMap((key) => {
       const members = keys.flatMap((one, i) => (one === key ? [i] : []));
       const seeds = new Set(members.map((i) => items[i].settings.seed));
-      // Equal trainings with the same seed are not replicates.
+      // Equal runs with the same seed are not replicates.
       return members.length > 1 && seeds.size === members.length
         ? [{ members, name: `mean of ${members.length} replicates`, of: '' }]
         : members.map((i) => ({ name: `training ${ids[i]}`, of: '', members: [i] }));
