@@ -293,7 +293,7 @@ class Frame {
     this.probe = setInterval(() => getJson('healthz').catch(() => {}), 1500);
   }
 
-  /** Shows the view that the address names. isMove: the user came from another view. */
+  /** Shows the view that the address names. isMove: the user came from a different view. */
   async route({ isMove = false } = {}) {
     const { name, rest, parameters } = placeOf();
     const entry = Object.hasOwn(VIEWS, name) ? VIEWS[name] : null;
@@ -439,7 +439,7 @@ class Frame {
     }
   }
 
-  /** Starts over with another token, or when the service is back. */
+  /** Starts over with a new token, or when the service is back. */
   start() {
     this.identified = null;
     return this.route();

@@ -150,7 +150,7 @@ static void edit_jobs(struct ctl *ctl, json_t *edit, const char *words)
   each_job(ctl, json_request("PATCH", NULL, keep(edit)), "job", "", words, words);
 }
 
-/* job label, experiment, note: prints it, sets it to TEXT, or removes it. */
+/* Runs job label, experiment and note: prints it, sets it to TEXT, or removes it. */
 void run_job_text(struct ctl *ctl)
 {
   const char *member = strchr(ctl->command->name, ' ') + 1,

@@ -117,7 +117,7 @@ void run_scores_import(struct ctl *ctl)
   if (!standard)
     fclose(sending.file);
   print_differences(ctl, json_object_get(sending.sum, "differences"));
-  if (sending.at > 0) /* imported scores stay, whatever followed */
+  if (sending.at > 0) /* imported scores stay, no matter what followed */
     tell(ctl, sending.sum,
          "{new:,} rollouts are new, {known:,} were known[, {different>0:,} are stored with other "
          "bits and were left out], from store {source.store} on {source.host}");

@@ -13,7 +13,7 @@
 #include "plot.h"
 
 #define ASK_S         10   /* waiting produces no events */
-#define LINES_BESIDES 6    /* lines of the view besides the plot */
+#define LINES_BESIDES 6    /* lines of the view in addition to the plot */
 #define POINTS_MAX    4000 /* above this many, every other point is dropped */
 
 struct curve {

@@ -116,7 +116,7 @@ int mo_atlas_writer_finish(struct mo_atlas_writer *writer, struct mo_message *me
  * be changed as long as it is open. */
 struct mo_atlas;
 /* Reads the whole file once, to check it. MO_ERR_NOT_FOUND; MO_ERR_FORMAT: not an atlas;
- * MO_ERR_UNSUPPORTED: another version or byte order; MO_ERR_CORRUPT: truncated, altered or
+ * MO_ERR_UNSUPPORTED: a different version or byte order; MO_ERR_CORRUPT: truncated, altered or
  * unsorted; MO_ERR_IO, MO_ERR_NO_MEMORY. */
 int mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *message);
 void mo_atlas_close(struct mo_atlas *atlas); /* NULL-safe */
@@ -194,8 +194,8 @@ struct mo_atlas_rank {
   double percentile; /* percentage of the other bodies that are worse, with equal ones counted half;
                         100 if there are no others */
 };
-/* Ranks a body among all bodies or, with `within_size`, among those with as many voxels. Its rank
- * is `better` + 1. */
+/* Ranks a body among all bodies or, with `within_size`, among those of the same size. Its rank is
+ * `better` + 1. */
 struct mo_atlas_rank mo_atlas_rank_of(const struct mo_atlas_index *index, uint64_t position,
                                       bool within_size);
 /* Returns the position of the body at place i of the ranking, i below the number of bodies. 0: the

@@ -3,7 +3,7 @@
  *
  * A certificate scores a list of designs in *trials*. The first trial is the base: the designs in
  * the environments and with the physics that were requested. Each other trial changes one thing,
- * its axis, by a level: a finer step, another friction, fresh worlds. The figures follow from the
+ * its axis, by a level: a finer step, different friction, fresh worlds. The figures follow from the
  * losses of all trials: per design its score at each level and the change from the base; per level
  * Kendall's tau-b between the scores of the designs there and at the base, and the regret of
  * choosing the top k by the base; and a verdict in words. docs/trust.md defines them.
@@ -37,7 +37,7 @@ enum mo_axis {
   MO_AXIS_PRECISION, /* float64 [64] */
   MO_AXIS_STEP,      /* dt / level in float64 [2, 4]; the controller decides at the same times as in
                         the base. Its change includes that of the precision */
-  MO_AXIS_HELD_OUT,  /* fresh worlds; mo_certificate_environments says of which kind */
+  MO_AXIS_HELD_OUT,  /* fresh worlds; mo_certificate_environments defines their kind */
   MO_AXIS_CHANCE,    /* the base's worlds with all constants changed by at most 0.01 %, as often as
                         the settings say: how much of a score is luck */
   MO_AXIS_STIFFNESS, /* a constant times the level [settings.levels]; and so on */

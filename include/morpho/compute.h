@@ -209,12 +209,12 @@ struct mo_gradient_batch {
  * interrupt a gradient block. Remote takers compute whole shards, see below.
  *
  * `state` holds data between calls: a pack, and at most two float32 gradients per worker. Create
- * one state per training. It serves one call at a time, which must have returned before
+ * one state per training run. It serves one call at a time, which must have returned before
  * mo_compute_free.
  *
  * Environments, physics and options must have been checked (mo_gradient_options_check).
- * MO_ERR_INVALID (a body of another workspace), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED, MO_ERR_DEVICE.
- * On error the results are undefined.
+ * MO_ERR_INVALID (a body of a different workspace), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED,
+ * MO_ERR_DEVICE. On error the results are undefined.
  *
  * On devices a shard is 1024 consecutive robots in the order of the batch, with a float32 sum.
  * Shards are spread over the devices and added in float64 in order: the same bits for any number of
@@ -263,7 +263,7 @@ struct mo_remote_result {
   const double (*measures)[MO_MEASURES]; /* (n_rows) all measures, for blocks that measure */
 };
 /* Takes at least one block, and more while their rollout steps stay within max_steps; or a shard,
- * whatever its size. Does not wait. Returns NULL if there is no suitable block, or if out of
+ * regardless of its size. Does not wait. Returns NULL if there is no suitable block, or if out of
  * memory. Put back or deliver each `taken` exactly once, before mo_compute_free. */
 struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end back_end,
                                  uint64_t max_steps);
@@ -350,7 +350,7 @@ struct mo_devices_config {
 /* Loads a module and opens its devices. Call it once, before creating shares, controllers and
  * blocks. Devices whose compute capability differs from that of the first opened device are left
  * out, because their bits differ. MO_ERR_NOT_FOUND: no such file; MO_ERR_UNSUPPORTED: not a module,
- * or a module for another version of this program; MO_ERR_EXHAUSTED: no working device;
+ * or a module for a different version of this program; MO_ERR_EXHAUSTED: no working device;
  * MO_ERR_RANGE: no such device; MO_ERR_DEVICE: a device in `devices` cannot be opened, or its
  * capability differs from the first; MO_ERR_CONFLICT: devices have already been added;
  * MO_ERR_NO_MEMORY. After an error there are no devices. */
@@ -372,8 +372,8 @@ const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *comp
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats);
 /* Copies the rates; returns their number. */
 uint32_t mo_compute_get_rates(struct mo_compute *compute, struct mo_rate rates[MO_RATES_MAX]);
-/* Describes what the bits of a result depend on besides its inputs (back end, instruction set, code
- * version), such as "cpu avx512 float32 …". */
+/* Describes what the bits of a result depend on in addition to its inputs (back end, instruction
+ * set, code version), such as "cpu avx512 float32 …". */
 const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_precision precision);
 
 #ifdef __cplusplus

@@ -52,7 +52,7 @@ struct mo_mode {
   bool makes_children;    /* by variation; otherwise a client supplies them, and decides when the
                              campaign ends */
   bool learns;            /* in each generation; parents are scored again */
-  bool inherits_learning; /* a generation continues the training of the one before */
+  bool inherits_learning; /* a generation continues the training of the previous one */
   bool starts_untrained;  /* true: random weights if no controller is given; false: a controller is
                              required */
   /* Of its presets: */

@@ -84,8 +84,8 @@ void mo_gradient_counts_add(struct mo_gradient_counts *sum,
  * and about sqrt(n_steps) steps: 7.5 MB for the full default workspace and 1000 steps. Costs about
  * three rollouts.
  *
- * MO_ERR_INVALID: no controller, a controller of another workspace, an option that is not finite,
- * or an unknown rule; MO_ERR_RANGE: a bound below 0, a weight outside its range;
+ * MO_ERR_INVALID: no controller, a controller of a different workspace, an option that is not
+ * finite, or an unknown rule; MO_ERR_RANGE: a bound below 0, a weight outside its range;
  * MO_ERR_UNSUPPORTED: a task without a gradient (mo_task_check_gradient); MO_ERR_NO_MEMORY. On
  * error nothing is written. */
 int mo_gradient_reference(const struct mo_body *body, const struct mo_controller *controller,
@@ -113,7 +113,7 @@ struct mo_robot {
 int mo_pack_create_for_gradients(const struct mo_controller *controller, enum mo_isa isa,
                                  struct mo_pack **pack);
 /* Copies new parameters, of the same workspace and sensor, into the pack for the next learning
- * step. MO_ERR_UNSUPPORTED: another workspace or sensor. */
+ * step. MO_ERR_UNSUPPORTED: a different workspace or sensor. */
 int mo_pack_update(struct mo_pack *pack, const struct mo_controller *controller);
 
 /* Scratch of one worker: grows to what its blocks need. The tape of a block (the data of every step
@@ -143,9 +143,8 @@ int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order
  *
  * The result depends only on the inputs (robots, in this order) and the instruction set. outcomes:
  * (n). pause, counts nullable (counts are added to). MO_ERR_UNSUPPORTED as above, MO_ERR_INVALID (a
- * body of another workspace,
- * invalid options, an invalid control period or one of more than MO_GRADIENT_PERIOD_MAX steps),
- * MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
+ * body of a different workspace, invalid options, an invalid control period or one of more than
+ * MO_GRADIENT_PERIOD_MAX steps), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                       const struct mo_gradient_options *options, const struct mo_pause_point *pause,

@@ -199,8 +199,8 @@ const struct mo_environment *mo_training_environments(const struct mo_training *
  * Drawing twice returns the same robots; after an error, the next call continues where the failed
  * call stopped. Memory: the bodies of the step (for finetuning, of all its designs), up to 25 kB
  * each. MO_ERR_EXHAUSTED: no new bodies are left; MO_ERR_CORRUPT: the replay needed a different
- * number of draws (the checkpoint is from other code); MO_ERR_CONFLICT: the training is finished;
- * MO_ERR_NO_MEMORY. */
+ * number of draws (the checkpoint is from different code); MO_ERR_CONFLICT: the training is
+ * finished; MO_ERR_NO_MEMORY. */
 int mo_training_draw(struct mo_training *training, const volatile int *cancel,
                      volatile uint64_t *replayed, const struct mo_robot **robots);
 
@@ -229,8 +229,8 @@ int mo_training_set_steps(struct mo_training *training, uint32_t n_steps);
 /* The result of a step. */
 struct mo_training_report {
   uint32_t step;        /* from 1 */
-  double mean_loss;     /* over the robots that did not diverge, whatever their tasks; NaN if all
-                           diverged */
+  double mean_loss;     /* over the robots that did not diverge, regardless of their tasks; NaN if
+                           all diverged */
   double rate;          /* learning rate */
   double gradient_norm; /* of the batch gradient before the norm clip; 0 if skipped */
   double clipped_share; /* of backward steps with an adjoint above the bound */

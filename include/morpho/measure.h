@@ -1,5 +1,5 @@
-/* measure.h: numbers that describe a rollout besides its loss: how far and how straight the body
- * went, how it touched the ground, what its springs did. docs/model.md defines each of them.
+/* measure.h: numbers that describe a rollout, in addition to its loss: how far and how straight the
+ * body went, how it touched the ground, what its springs did. docs/model.md defines each of them.
  *
  * An instant is the start of a control period, or the end of the rollout. */
 #ifndef MORPHO_MEASURE_H

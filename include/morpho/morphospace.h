@@ -130,8 +130,8 @@ int mo_genotype_robot(struct mo_workspace workspace, const uint64_t *bits, char 
 int mo_genotype_from_robot(struct mo_workspace workspace, const char *robot, size_t length,
                            uint64_t *bits, int *orientation);
 
-/* Moves a genotype to another workspace and places it there; turns it by 90° if it fits only that
- * way. MO_ERR_RANGE: it does not fit. `moved` must not overlap `bits`. Empty stays empty. */
+/* Moves a genotype to a different workspace and places it there; turns it by 90° if it fits only
+ * that way. MO_ERR_RANGE: it does not fit. `moved` must not overlap `bits`. Empty stays empty. */
 int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
                      uint64_t *moved);
 

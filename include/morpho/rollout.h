@@ -171,12 +171,12 @@ int mo_rollout_reference(const struct mo_body *body, const struct mo_controller 
 /* ---- the fast path ---- */
 
 enum mo_isa { MO_ISA_BASELINE = 0, MO_ISA_AVX2 = 1, MO_ISA_AVX512 = 2, MO_ISA_COUNT };
-enum mo_isa mo_isa_best(void); /* the widest that this processor and operating system support */
+enum mo_isa mo_isa_best(void); /* the widest that this CPU and operating system support */
 const char *mo_isa_name(enum mo_isa isa); /* "x86-64", "avx2", "avx512" */
 
 /* A controller laid out for one instruction set and precision. Const, shared by all workers. Keeps
  * no reference to the controller. controller NULL: a pack for passive bodies of any workspace.
- * MO_ERR_UNSUPPORTED: this processor lacks the instruction set. */
+ * MO_ERR_UNSUPPORTED: this CPU lacks the instruction set. */
 struct mo_pack;
 int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
                    enum mo_precision precision, struct mo_pack **pack);

@@ -56,10 +56,10 @@ enum mo_objective {
                            */
   MO_OBJECTIVE_APPROACH,  /* mean distance to the light over that at the start; fixed, moving */
   MO_OBJECTIVE_TRAVEL,    /* distance traveled in the direction of the heading; ahead, turning */
-  MO_OBJECTIVE_FOLLOW,    /* progress on the path, less the mean distance from it; path */
+  MO_OBJECTIVE_FOLLOW,    /* progress on the path, minus the mean distance from it; path */
   MO_OBJECTIVE_CLIMB,     /* height that the center of mass has gained; any guide */
   MO_OBJECTIVE_PURSUE,    /* the same as approach, for a light that moves; moving */
-  MO_OBJECTIVE_EFFICIENT, /* displacement, less MO_EFFICIENT_FLOOR_M, per work; any guide */
+  MO_OBJECTIVE_EFFICIENT, /* displacement minus MO_EFFICIENT_FLOOR_M, per work; any guide */
   MO_OBJECTIVE_JUMP,      /* largest height that the center of mass gains; any guide */
   MO_OBJECTIVE_SUM = 255  /* a weighted sum of objectives and measures (measure.h) */
 };

@@ -114,7 +114,8 @@ void mo_members_axes(struct mo_text *text, const struct mo_certificate_settings 
   mo_text_add(text, "]");
 }
 
-/* Not in a list: the source of the designs, the axes that do not apply, and the notes. */
+/* Writes what is not in a list: the source of the designs, the axes that do not apply, and the
+ * notes. */
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *any,
                        const struct mo_live *live, bool is_listed)
 {

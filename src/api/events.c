@@ -77,7 +77,7 @@ static int64_t fill(struct mo_request *request, struct mo_stream_place *place,
   if (n == MO_ERR_CORRUPT)
     mo_request_note(request, "the events cannot be read: %s", mo_error_text((int)n));
   if (n >= 0 && (place->after < oldest - 1 || known != place->after)) {
-    /* The sequence is unknown (pruned, or of another history), so the client must restart. */
+    /* The sequence is unknown (pruned, or of a different history), so the client must restart. */
     place->after = place->after < oldest - 1 ? oldest - 1 : known;
     mo_text_format(frames,
                    "id: %lld\nevent: reset\ndata: {\"oldest\":\"%lld\",\"newest\":\"%lld\"}\n\n",

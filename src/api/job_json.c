@@ -99,7 +99,7 @@ int mo_tasks_read(struct mo_store *store, int64_t id, enum mo_job_kind kind, con
   for (uint32_t i = 0; error == MO_OK && i < n; i++)
     is_plain = is_plain && mo_task_is_plain(&(*environments)[i].task);
   if (error == MO_OK)
-    mo_environments_drop(*environments, n); /* only tasks are wanted */
+    mo_environments_drop(*environments, n); /* only tasks are needed */
   if (is_plain) {
     free(*environments);
     *environments = NULL;

@@ -273,7 +273,7 @@ static int vary(struct mo_parts *parts, const struct variation *by, struct mo_en
 
 static void read_environments(struct mo_json *json, void *value);
 
-/* {"of": a set or a list, "vary": ranges, "count", "seed"} */
+/* Reads {"of": a set or a list, "vary": ranges, "count", "seed"} */
 static void read_variation(struct mo_json *json, struct mo_parts *parts)
 {
   const unsigned depth = json->depth, before = json->faults->n;

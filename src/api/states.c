@@ -329,7 +329,7 @@ static bool mark(uint8_t *bytes, uint32_t n, const struct list *places)
   return true;
 }
 
-/* The number of voxels is the robot's. */
+/* Returns the number of the robot's voxels. */
 static uint32_t voxels_of(const struct mo_genotype *robot)
 {
   uint32_t n = 0;

@@ -175,8 +175,8 @@ static void describe_terrain(const struct mo_environment *environment, char text
              environment->profile_spacing_m);
 }
 
-/* Terrains of which at least one is a profile or a custom grid. Shows only the first height that
- * differs. */
+/* Compares terrains of which at least one is a profile or a custom grid. Shows only the first
+ * height that differs. */
 static void compare_terrains(struct comparison *comparison, uint32_t place,
                              const struct mo_environment *given, const struct mo_environment *known)
 {

@@ -222,8 +222,8 @@ static void read_children(struct mo_json *json, void *value)
     mo_json_fault_at(json, depth, "", "must be at most %d children, got %u", MO_DESIGNS_MAX, n);
 }
 
-/* Drops the room for scores if the study has no score of its own. A batch without children has
- * scores, too. */
+/* Drops the room for scores if the study has no score of its own. A batch without children also has
+ * scores. */
 static int pack_scores(struct mo_study_batch *batch, bool has_scores)
 {
   if (has_scores && batch->scores == NULL)

@@ -57,7 +57,7 @@ static int check(struct mo_json *json, void *any)
 
 /* ---- the reply ---- */
 
-/* Of the measures, only those that differ. */
+/* Writes a row; of its measures, only those that differ. */
 static void write_row(struct mo_text *text, const char *name, const struct mo_origin_row *row,
                       uint32_t k, const struct mo_loss_row *losses,
                       const struct mo_measures_row *measures, uint32_t differing)

@@ -108,7 +108,7 @@ static inline size_t mo_atlas_block_bytes(const struct mo_atlas_layout *layout, 
   return mo_atlas_checksum_at(layout, n) + sizeof(uint64_t);
 }
 
-/* The bytes of environments in a file (malloc). MO_ERR_NO_MEMORY. */
+/* Writes the bytes of environments as in a file (malloc). MO_ERR_NO_MEMORY. */
 int mo_atlas_environments_pack(const struct mo_environment *environments, uint32_t n,
                                uint8_t **bytes, size_t *size);
 /* Reads n environments. The caller frees them with mo_environments_free. MO_ERR_CORRUPT,

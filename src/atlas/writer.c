@@ -111,7 +111,7 @@ static struct mo_atlas_block some_of(const struct mo_atlas_writer *writer,
   return some;
 }
 
-/* Copies the first n bodies of a block to one of another size. */
+/* Copies the first n bodies of a block to one of a different size. */
 static void copy_bodies(const struct mo_atlas_writer *writer, uint32_t n, const uint8_t *from,
                         uint32_t from_n, uint8_t *to, uint32_t to_n)
 {

@@ -1,4 +1,4 @@
-/* writer.h: the writer with other system calls, for tests. */
+/* writer.h: the writer with replaceable system calls, for tests. */
 #ifndef MORPHO_ATLAS_WRITER_H
 #define MORPHO_ATLAS_WRITER_H
 

@@ -9,7 +9,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-/* Some file systems, such as network file systems, support only links. */
+/* Renames by link and unlink if necessary: some file systems, such as network file systems, support
+ * only links. */
 static int rename_new(const char *from, const char *to)
 {
   if (renameat2(AT_FDCWD, from, AT_FDCWD, to, RENAME_NOREPLACE) == 0)

@@ -27,7 +27,7 @@ extern const struct mo_file_operations mo_system_files;
 /* Converts errno after a call that opened a file to an error. Lack of descriptors or memory is
  * temporary, and not a fault of the file: MO_ERR_NO_MEMORY. */
 int mo_open_error(void);
-/* The same after a call that opened or changed a file. */
+/* Does the same after a call that opened or changed a file. */
 int mo_file_error(void);
 
 /* Reads bytes at an offset. MO_ERR_CORRUPT: the file ends before them; MO_ERR_IO. */

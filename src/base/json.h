@@ -69,8 +69,8 @@ bool mo_json_finish(struct mo_json *json);
 /* Returns the kind of the next value. */
 enum mo_json_kind mo_json_peek(struct mo_json *json);
 
-/* The following functions read one value each. They return false for a value of another kind, which
- * is skipped and adds a fault that gives the expected kind. */
+/* The following functions read one value each. They return false for a value of a different kind,
+ * which is skipped and adds a fault that gives the expected kind. */
 bool mo_json_string(struct mo_json *json,
                     struct mo_json_slice *value); /* valid until the next string; a string longer
                                                      than MO_JSON_STRING_MAX is also a fault */

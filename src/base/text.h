@@ -48,8 +48,8 @@ void mo_text_format(struct mo_text *text, const char *format, ...)
 
 /* Appends a JSON string with its quotes. Invalid UTF-8 becomes U+FFFD. */
 void mo_text_json_string(struct mo_text *text, const char *words, size_t n);
-/* The same for a terminal: also escapes characters that would control it (U+0080 to U+009F, and
- * characters that change the direction of text). */
+/* Does the same for a terminal: also escapes characters that would control it (U+0080 to U+009F,
+ * and characters that change the direction of text). */
 void mo_text_shown_string(struct mo_text *text, const char *words, size_t n);
 /* Appends a stored JSON text on one line. Invalid UTF-8 in its strings becomes U+FFFD. */
 void mo_text_json_stored(struct mo_text *text, const char *json);

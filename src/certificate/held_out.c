@@ -3,7 +3,7 @@
  * They must be of the base's kind, or the axis would compare two tasks. A set of the suite has a
  * held-out set. The only other worlds that can be drawn are training worlds, so a list has fresh
  * worlds only if each of its own could be one of them. A list of level ground, of a profile or of
- * lights at other distances has none: nobody knows which others its author would have chosen. */
+ * lights at other distances has none: it is unknown which others its author would have chosen. */
 #include "certificate/held_out.h"
 
 #include <math.h>

@@ -15,8 +15,8 @@ double mo_pairwise_sum(const double *values, uint32_t n)
   return sum;
 }
 
-/* A table, and then the expansion in 1 / degrees (Abramowitz & Stegun 26.7.5) around the quantile
- * of the normal distribution. */
+/* Looks t up in a table or, beyond it, uses the expansion in 1 / degrees (Abramowitz & Stegun
+ * 26.7.5) around the quantile of the normal distribution. */
 double mo_student_t(uint32_t degrees)
 {
   static const double table[TABLE] = {

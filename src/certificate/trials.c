@@ -2,7 +2,7 @@
  * apply to a base.
  *
  * Random numbers: the constants of `chance` and `worlds` are those of mo_factors_draw with the seed
- * of the settings, in steps that no training and no request reaches. */
+ * of the settings, in steps that no training run and no request reaches. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>

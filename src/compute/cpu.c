@@ -5,7 +5,7 @@
  * `done` is called, so that the share may be freed afterward.
  *
  * A worker inside a block reads atomic counts every few steps. If a more urgent scoring block
- * waits, the worker runs it at once, on its own stack and with other scratch memory, and then
+ * waits, the worker runs it at once, on its own stack and with separate scratch memory, and then
  * resumes its block; the bits of that block do not change. Interactive blocks interrupt batch and
  * gradient blocks; immediate blocks also interrupt interactive ones, so that a client with one
  * rollout does not wait for a client with many. A more urgent block waits for a few steps of a
@@ -145,7 +145,7 @@ static struct mo_block *pop_more_urgent(struct mo_compute *compute, const struct
   return block;
 }
 
-/* The pause point of a running block. */
+/* Runs at the pause point of a block. */
 static int at_pause_point(void *context)
 {
   struct run *run = context;
@@ -299,7 +299,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
 /* ---- workers ---- */
 
 /* Batch scheduling and a higher niceness keep the service's threads responsive on the same cores.
- * Results do not depend on either, so a kernel that refuses is not an error. */
+ * Results do not depend on either, so if the kernel refuses, that is not an error. */
 void mo_compute_lower_priority(const struct mo_compute *compute)
 {
   const struct sched_param none = {0};

@@ -110,8 +110,8 @@ struct mo_device_module {
   int (*gradient)(struct mo_device *device, struct mo_device_gradient *gradient);
   /* Lays out the rows of a later gradient, for this device and others like it, so that its call
    * starts sooner. The robots must not change until that call. *layout: NULL, or a layout that no
-   * call uses anymore; its memory is reused. Errors as in `gradient`, except MO_ERR_DEVICE. After
-   * an error, an existing layout remains, but has no robots. */
+   * call uses any longer; its memory is reused. Errors as in `gradient`, except MO_ERR_DEVICE.
+   * After an error, an existing layout remains, but has no robots. */
   int (*lay_out)(const struct mo_device *device, const struct mo_robot *robots, uint32_t n,
                  const struct mo_physics *physics, struct mo_device_layout **layout);
   void (*layout_free)(struct mo_device_layout *layout); /* before its device is closed; NULL-safe */

@@ -127,8 +127,8 @@ static bool same_body(const struct mo_block *a, const struct mo_block *b)
                 mo_workspace_words(a->lattice->workspace) * sizeof(*a->genotype)) == 0;
 }
 
-/* Marks the blocks that need a body of their own and returns their number. A block does not need
- * one if it brings its body, or has the same body as the previous block that is not cancelled. */
+/* Marks the blocks that need their own body and returns their number. A block does not need one if
+ * it brings its body, or has the same body as the previous block that is not cancelled. */
 static uint32_t plan_bodies(struct mo_chunk *chunk)
 {
   const struct mo_block *before = NULL;
@@ -251,7 +251,7 @@ void mo_chunk_end_block(struct mo_devices *devices, struct mo_block *block, int 
   block->done(block, block->context);
 }
 
-/* Copies the measures that a block asks for. */
+/* Copies the measures that a block requests. */
 static void deliver_measures(const struct mo_chunk *chunk, const struct mo_chunk_item *item)
 {
   const struct mo_block *block = item->block;

@@ -124,7 +124,7 @@ struct mo_device_task {
   uint32_t first, n;               /* its robots */
   struct mo_device_layout *layout; /* of all n robots; NULL: not laid out */
   const atomic_bool *stop;
-  /* Results, besides the batch's outcomes. */
+  /* Results, in addition to the batch's outcomes. */
   float *d_parameters;              /* (shards, n_parameters) */
   struct mo_gradient_counts counts; /* added to */
 };

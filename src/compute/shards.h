@@ -64,7 +64,8 @@ void mo_offer_wait(struct mo_offer *offer, uint32_t number);
 /* Returns the error of shards for takers only. MO_ERR_UNSUPPORTED: takers cannot compute a shard;
  * MO_ERR_DEVICE: takers return a shard repeatedly. */
 int mo_offer_error(struct mo_offer *offer);
-void mo_offer_stop(struct mo_offer *offer); /* no shard is needed anymore; call it before close */
+void mo_offer_stop(struct mo_offer *offer); /* no shard is needed any longer; call it before
+                                               close */
 /* Waits until takers have returned all shards, and frees the members of the offer. */
 void mo_offer_close(struct mo_offer *offer);
 

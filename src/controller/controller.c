@@ -93,7 +93,7 @@ int mo_controller_allocate(struct mo_workspace workspace, enum mo_sensor sensor,
   return MO_OK;
 }
 
-/* LayerNorm gain 1; everything else 0. */
+/* Sets the LayerNorm gain to 1, and everything else to 0. */
 static void clear_parameters(struct mo_controller *c)
 {
   memset(c->parameters, 0, c->n_parameters * sizeof(float));

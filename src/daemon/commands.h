@@ -3,9 +3,9 @@
 #ifndef MORPHO_DAEMON_COMMANDS_H
 #define MORPHO_DAEMON_COMMANDS_H
 
-/* `morphod store …`: maintenance of a state folder while no service uses it. */
+/* Runs `morphod store …`: maintenance of a state folder while no service uses it. */
 int store_command(int argc, const char *const *argv);
-/* `morphod worker`, which computes for a daemon on another machine. */
+/* Runs `morphod worker`, which computes for a daemon on another machine. */
 int worker_command(int argc, const char *const *argv);
 
 #endif

@@ -18,7 +18,7 @@ int devices_parse(const struct setting_list *list, struct device_choice *choice,
 /* Adds the devices of the settings (module nullable); call it before any other use of the back end.
  * If the settings do not list a device or module, a machine without either is not an error: this is
  * logged, and the CPUs compute. MO_ERR_INVALID: the settings list a missing device or module, or
- * the module has another version. */
+ * the module has a different version. */
 int devices_open(struct mo_compute *compute, const struct setting_list *devices, const char *module,
                  struct mo_message *message);
 

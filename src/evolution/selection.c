@@ -25,8 +25,8 @@ struct choice {
 
 /* ---- tournament ---- */
 
-/* Tournament: the best survives. Each further survivor is the best of `tournament_size` draws, with
- * replacement, from the remaining candidates. */
+/* Chooses by tournament: the best survives. Each further survivor is the best of `tournament_size`
+ * draws, with replacement, from the remaining candidates. */
 static int choose_by_tournament(struct choice *choice)
 {
   uint32_t left = choice->n - 1; /* n > places ≥ 1 */
@@ -54,9 +54,9 @@ static int choose_by_tournament(struct choice *choice)
 
 /* ---- novelty ---- */
 
-/* Novelty: the best survives, then the candidates with the smallest (1 − weight) · rank by score +
- * weight · rank by novelty, both from 0. With equal novelty, or an equal sum, the better score goes
- * first. With weight 0 the sum is the rank by score: truncation. */
+/* Chooses by novelty: the best survives, then the candidates with the smallest (1 − weight) · rank
+ * by score + weight · rank by novelty, both from 0. With equal novelty, or an equal sum, the better
+ * score goes first. With weight 0 the sum is the rank by score: truncation. */
 static int choose_by_novelty(struct choice *choice)
 {
   const double weight = choice->settings->selection.novelty_weight;
@@ -91,9 +91,9 @@ static int choose_by_novelty(struct choice *choice)
 
 /* ---- age layers ---- */
 
-/* Age layers, from the youngest to the last: the best candidates that are within the layer's age
- * limit and not yet chosen take its share of the places; unfilled places go to the next layer. The
- * last layer has no limit and at least one place, so the best survives. */
+/* Chooses by age layers, from the youngest to the last: the best candidates that are within the
+ * layer's age limit and not yet chosen take its share of the places; unfilled places go to the next
+ * layer. The last layer has no limit and at least one place, so the best survives. */
 static void choose_by_age(struct choice *choice)
 {
   const struct mo_selection *selection = &choice->settings->selection;

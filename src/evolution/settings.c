@@ -99,7 +99,7 @@ static int check_steps(const struct mo_campaign_settings *settings, struct mo_me
   return MO_OK;
 }
 
-/* Checks the learning settings that only campaigns have; the check of a training covers the
+/* Checks the learning settings that only campaigns have; the check of training settings covers the
  * rest. */
 static int check_learning(const struct mo_campaign_settings *settings, struct mo_message *message)
 {

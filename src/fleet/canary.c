@@ -205,7 +205,7 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
   for (uint32_t i = 0; i < ROBOTS; i++)
     mo_body_free(canary->bodies[i]);
   free(batch.d_parameters);
-  mo_compute_trim(compute); /* a worker may never compute another gradient */
+  mo_compute_trim(compute); /* a worker may never compute a gradient again */
   return error;
 }
 

@@ -12,7 +12,7 @@
 #define NEW_LEASES     500 /* results of a session; after these it is audited less often */
 #define AUDITS_NEW     10  /* one lease in this many is audited */
 #define AUDITS_TRUSTED 200
-#define CHOOSY_NS      (2 * MO_S_NS) /* an audit waits this long for another name and host */
+#define CHOOSY_NS      (2 * MO_S_NS) /* an audit waits this long for a different name and host */
 
 /* ---- votes ---- */
 

@@ -19,7 +19,7 @@ void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_
                     const char *why, uint64_t now_ns, struct mo_after *after);
 
 /* Refuses a session that returned wrong bits: its leases are put back, its later results are
- * ignored, and its worker is notified. The session may have ended already, so name and host are
+ * ignored, and its worker is notified. The session may have already ended, so name and host are
  * passed for the event. */
 void mo_session_refuse(struct mo_fleet *fleet, uint64_t id, const char *name, const char *host,
                        const char *why, uint64_t now_ns, struct mo_after *after);

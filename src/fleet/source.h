@@ -23,8 +23,8 @@ struct mo_fleet_source {
   uint64_t (*waiting)(struct mo_compute *compute, enum mo_back_end back_end);
   /* Computes a lease of one block in this process, to decide which of two sessions gave wrong bits.
    * weights: the file of its controller; NULL: passive bodies. Rows as in a result; measures: of a
-   * lease that has them, else unchanged. *cancel ends it early. NULL: nobody decides. Returns MO_OK
-   * or an error. */
+   * lease that has them, else unchanged. *cancel ends it early. NULL: disputes are not decided.
+   * Returns MO_OK or an error. */
   int (*recompute)(struct mo_compute *compute, struct mo_workspace workspace,
                    const struct mo_wire_lease *lease, const uint8_t *weights, size_t weights_bytes,
                    const volatile int *cancel, double *losses, uint32_t *diverged_steps,

@@ -23,7 +23,7 @@ struct mo_weights {
 int mo_weights_create(const struct mo_taken *taken, struct mo_weights **weights);
 
 /* Call these with the lock held. find: returns the weights of taken blocks, or NULL if they were
- * not made yet. add: puts new weights into the table, or frees them if the table has them already,
+ * not made yet. add: puts new weights into the table, or frees them if the table already has them,
  * and returns the weights in the table. Both add a use to the weights that they return. read: finds
  * weights by hash, for mo_fleet_controller. */
 struct mo_weights *mo_weights_find(struct mo_fleet *fleet, const struct mo_taken *taken);

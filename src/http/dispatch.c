@@ -348,7 +348,7 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
     }
     atomic_store(&request->connection->deadline_us, MO_NEVER);
     if (!mo_body_end(request) ||
-        !mo_connection_spare(request->connection, MO_NEVER)) /* cut already: no reply */
+        !mo_connection_spare(request->connection, MO_NEVER)) /* already cut: no reply */
       return MHD_NO;
     if (request->reply.status != 0) {
       request->stage = MO_STAGE_REPLY;

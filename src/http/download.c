@@ -47,7 +47,7 @@ static int make_piece(struct mo_download *download)
   return more < 0 ? more : download->piece.failed ? MO_ERR_NO_MEMORY : error;
 }
 
-/* Starts to compress a reply of several pieces; the first exists already. */
+/* Starts to compress a reply of several pieces; the first already exists. */
 static int begin_packing(struct mo_request *request, struct mo_download *download)
 {
   download->packer = mo_packer_create(request);

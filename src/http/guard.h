@@ -64,8 +64,8 @@ struct mo_names {
 bool mo_guard_host(const char *host, size_t n, bool local, const struct mo_names *names);
 /* Accepts an Origin that has the host and port of `host`, or is one of `names`. */
 bool mo_guard_origin(const char *origin, const char *host, const struct mo_names *names);
-/* Returns false if Sec-Fetch-Site (nullable) says that the request comes from a page of another
- * site, or of another name of this site. */
+/* Returns false if Sec-Fetch-Site (nullable) says that the request comes from a page of a different
+ * site, or of a different name of this site. */
 bool mo_guard_fetch_site(const char *site);
 
 /* ---- tokens ---- */

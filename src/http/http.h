@@ -56,8 +56,8 @@ struct mo_http_config {
   bool token_if_any; /* require a token on loopback if any is set; with a token, accept any Host */
   const char *certificate;  /* NULL: plain HTTP. Else TLS 1.3: the chain, as text in PEM */
   const char *key;          /* its private key, as text in PEM; both are read only at the start */
-  const gid_t *unix_groups; /* groups whose members may use the unix socket, besides root and the
-                               service's own user */
+  const gid_t *unix_groups; /* groups whose members may use the unix socket, in addition to root and
+                               the service's own user */
   size_t n_unix_groups;
   uint32_t n_io_threads;      /* libmicrohttpd's pool; 0: one per CPU, at most 4 */
   uint32_t max_connections;   /* above this, idle connections are closed, or new ones get 503 with

@@ -216,7 +216,7 @@ static int write_file(void *context)
   return error == MO_OK ? mo_atlas_writer_save(run->writer) : error;
 }
 
-/* Where the job continues. */
+/* Writes where the job continues. */
 static int write_place(void *context)
 {
   struct run *run = context;

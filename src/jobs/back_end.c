@@ -1,8 +1,8 @@
 /* back_end.c: which jobs devices compute.
  *
  * The back end is chosen at submission and never changes. Bits differ between devices and workers,
- * so a training or campaign that continued elsewhere would no longer be a function of its settings.
- * If the devices of a job are lost, the job is paused until they are back.
+ * so a training run or campaign that continued elsewhere would no longer be a function of its
+ * settings. If the devices of a job are lost, the job is paused until they are back.
  *
  * A service without devices may expect workers with devices. Their class is set once: by the first
  * worker that has devices, or, if a job needs it earlier, from the record of an earlier process in

@@ -4,7 +4,7 @@
  * takes parent_steps on the parents, then child_steps on the children. Simultaneous: one training
  * run takes the same steps and continues over the whole campaign. Generation 0 has no parents and
  * takes child_steps on the initial population. Robots learn in random environments or, if the
- * campaign asks for it, in those of the campaign; then checkpoints contain these.
+ * campaign requests it, in those of the campaign; then checkpoints contain these.
  *
  * A checkpoint is written when it is due, at a pause or stop, and at the end of a generation's
  * learning, so that an interrupted scoring does not lose the learning. A generation commits with
@@ -154,7 +154,7 @@ static int restore(struct mo_campaign_run *run)
   return MO_ERR_NOT_FOUND;
 }
 
-/* Prepares the training at the step where this generation's learning continues. */
+/* Prepares the training run at the step where this generation's learning continues. */
 static int prepare_training(struct mo_campaign_run *run)
 {
   struct mo_campaign_learning *learning = &run->learning;

@@ -316,7 +316,7 @@ static void read_measures(struct mo_campaign_run *run)
 }
 
 /* Computes each score from the losses over the environments; it is infinity if a rollout diverged.
- * For a child that was cut short, the score is a lower bound. A study may have an own score: its
+ * For a child that was cut short, the score is a lower bound. A study may have its own score: its
  * client has sent it, and the losses are only stored. */
 static void read_scores(struct mo_campaign_run *run)
 {

@@ -163,8 +163,8 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   const struct mo_submitting submitting = {MO_JOB_CAMPAIGN, &asked->job, request.controller,
                                            record->replicates, 0};
   int error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
-  /* Look here first, before a full queue or a missing device can refuse the request; the store
-   * looks again. */
+  /* Look here first, before a full queue or a missing device can cause a rejection of the request;
+   * the store checks again. */
   if (error == MO_OK && !*replayed && asked->reuses &&
       mo_store_study_find(jobs->store, asked->job.label, id) == MO_OK)
     return MO_ERR_DUPLICATE;
@@ -239,7 +239,7 @@ static int check_extension(struct mo_jobs *jobs, int64_t id, uint32_t generation
   if (error == MO_OK && !mo_modes[settings->mode].makes_children)
     return mo_fail(message, MO_ERR_UNSUPPORTED, "a study gets its generations from tell requests");
   if (error != MO_OK || generations > MO_GENERATIONS_MAX - settings->generations)
-    return MO_OK; /* rejected elsewhere, with another message */
+    return MO_OK; /* rejected elsewhere, with a different message */
   settings->generations += generations;
   mo_sha256_to_hex(&status.job.controller_sha256, digits + strlen(digits));
   return check_memory(jobs, &status.record, status.job.has_controller ? digits : NULL,

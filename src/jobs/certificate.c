@@ -4,7 +4,7 @@
  * environments, within a part design by design. Consecutive parts with the same physics, precision
  * and width form a group, whose cells are one grid with a set of environments per part, so that the
  * back end rarely idles. Losses are saved in the order of the sequence, about once a second. So the
- * number of saved rollouts shows where a job continues, whatever stopped it.
+ * number of saved rollouts shows where a job continues, no matter what stopped it.
  *
  * Losses under different code (a different instruction set, or an update) must not be compared: if
  * a job continues under different code, it begins again. */

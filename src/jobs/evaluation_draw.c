@@ -130,7 +130,7 @@ static void *draw_all(void *context)
 {
   struct mo_evaluations *all = context;
   struct mo_runners *runners = all->runners;
-  uint64_t seen = UINT64_MAX, requests = 0; /* looks at once */
+  uint64_t seen = UINT64_MAX, requests = 0; /* checks at once */
   bool again = false;
   for (;;) {
     pthread_mutex_lock(&runners->mutex);

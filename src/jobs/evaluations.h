@@ -21,7 +21,7 @@
  * - MO_ERR_LIMIT: the job would record more than max_recorded_bytes
  * - MO_ERR_NO_SPACE: the disk is full; try again later
  * - MO_ERR_CANCELLED: `jobs` is stopping
- * - MO_ERR_UNSUPPORTED: the controller is for another workspace
+ * - MO_ERR_UNSUPPORTED: the controller is for a different workspace
  * - MO_ERR_DEVICE: no device works, or devices cannot do this (float64, recordings, interactive) */
 int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                               int64_t *id, bool *replayed, struct mo_message *message);

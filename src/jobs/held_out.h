@@ -19,7 +19,8 @@ struct mo_held_out {
 /* MO_ERR_NO_MEMORY, and errors of the store. Free the result with mo_held_out_free. */
 int mo_held_out_load(struct mo_store *store, const struct mo_training_status *status,
                      struct mo_held_out *held_out);
-/* Only the environments. *environments: (n) malloc, owned by the caller, even after an error. */
+/* Loads only the environments. *environments: (n) malloc, owned by the caller, even after an
+ * error. */
 int mo_held_out_worlds(struct mo_store *store, const struct mo_training_status *status,
                        struct mo_environment **environments, uint32_t *n);
 void mo_held_out_free(struct mo_held_out *held_out); /* frees the arrays */

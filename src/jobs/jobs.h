@@ -92,7 +92,8 @@ int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);
 int mo_jobs_edit(struct mo_jobs *jobs, int64_t id, const struct mo_job_edit *edit);
 
 /* ---- what is going on ---- */
-/* The lattice of the service's workspace, for all of its bodies; as long as `jobs`. */
+/* Returns the lattice of the service's workspace, for all of its bodies; valid as long as
+ * `jobs`. */
 const struct mo_lattice *mo_jobs_lattice(const struct mo_jobs *jobs);
 
 /* After this many crashes or errors a job fails. */

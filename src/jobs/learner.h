@@ -31,12 +31,12 @@ struct mo_learner {
  * state of the run. MO_ERR_NO_MEMORY. */
 int mo_learner_prepare(struct mo_learner *learner, struct mo_runner *runner,
                        const struct mo_job *job, int (*write)(void *context), void *context);
-/* Sets the designs of the training and discards the batch that was laid out ahead. */
+/* Sets the designs of the run and discards the batch that was laid out ahead. */
 int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, uint32_t n);
-/* One step: the gradient of the drawn robots, then its application. On devices, `write` and the
- * drawing of the next robots run during the gradient. On workers, where a gradient takes a hundred
- * times as long, that would gain nothing, so the gradient starts after `write` succeeds. An error
- * of `write` takes precedence over an error of the gradient. seconds: the time of the whole
+/* Runs one step: the gradient of the drawn robots, then its application. On devices, `write` and
+ * the drawing of the next robots run during the gradient. On workers, where a gradient takes a
+ * hundred times as long, that would gain nothing, so the gradient starts after `write` succeeds. An
+ * error of `write` takes precedence over an error of the gradient. seconds: the time of the whole
  * step. */
 int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots);
 int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report,

@@ -58,7 +58,7 @@ void mo_rollouts_free(struct mo_rollouts *rollouts); /* NULL-safe */
  * - MO_ERR_LIMIT: they would take too long, or be too large: use an evaluation for them
  * - MO_ERR_CONFLICT: a state does not fit its rollout
  * - MO_ERR_NOT_FOUND: no such controller or set
- * - MO_ERR_UNSUPPORTED: the controller is for another workspace
+ * - MO_ERR_UNSUPPORTED: the controller is for a different workspace
  * - MO_ERR_CANCELLED: the service is stopping */
 int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                  const struct mo_rollout_states *states, bool is_crowded,

@@ -53,7 +53,7 @@ struct mo_runner {
   struct mo_live live;
   /* Shared with the back end. */
   volatile int interrupt;     /* set by every request */
-  volatile uint64_t replayed; /* of a training: bodies redrawn so far */
+  volatile uint64_t replayed; /* of a training run: bodies redrawn so far */
   /* For this thread only. */
   bool winding_down; /* a request arrived or the job failed: only computed results are saved */
   bool is_short;     /* lacks memory: results that cannot be saved at once are recomputed later */
@@ -79,7 +79,7 @@ struct mo_runners {
   atomic_uint_fast64_t active;
 };
 
-/* An error that goes away without a request. */
+/* Returns whether an error can go away without a request. */
 static inline bool mo_is_shortage(int error)
 {
   return error == MO_ERR_NO_MEMORY || error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY;

@@ -15,7 +15,7 @@ struct mo_submitting {
   uint64_t rollouts;
 };
 /* Checks whether the key is known. Known keys are answered even if the queue is full or no device
- * works anymore. *replayed: *id is the earlier job, and nothing is left to do. */
+ * works any longer. *replayed: *id is the earlier job, and nothing is left to do. */
 int mo_submitting_begin(struct mo_jobs *jobs, const struct mo_submitting *submitting, int64_t *id,
                         bool *replayed, struct mo_message *message);
 /* Ends a submission that mo_jobs_admit has admitted, after the store has returned `error`. */

@@ -11,7 +11,7 @@
  * record.population: a succeeded evaluation, or a campaign for its newest population.
  * - MO_ERR_NOT_FOUND: no such controller or population
  * - MO_ERR_CONFLICT: the key was used with a different body, or the population has not succeeded
- * - MO_ERR_UNSUPPORTED: the controller is for another workspace */
+ * - MO_ERR_UNSUPPORTED: the controller is for a different workspace */
 int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_request *request,
                             int64_t *id, bool *replayed, struct mo_message *message);
 

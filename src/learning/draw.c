@@ -272,8 +272,8 @@ const struct mo_robot *mo_training_robots_ahead(struct mo_training *training)
   return hand != NULL ? hand->robots : NULL;
 }
 
-/* Freeing the bodies of thousands of robots takes milliseconds, so if the next robots are ready, a
- * later draw ahead frees these bodies, while no thread waits. */
+/* Forgets the current robots. Freeing the bodies of thousands of robots takes milliseconds, so if
+ * the next robots are ready, a later draw ahead frees these bodies, while no thread waits. */
 void mo_training_forget_robots(struct mo_training *training)
 {
   struct mo_hand *hand = &training->hands[training->step % 2];

@@ -44,7 +44,7 @@ struct mo_training {
   } hands[2]; /* the current step and the next; the index is the lowest bit of the step */
 };
 
-/* training.c: creates the controller of such settings, with zero weights. On failure the caller
+/* training.c: creates the controller for these settings, with zero weights. On failure the caller
  * frees *controller, which may be NULL. */
 int mo_training_blank(const struct mo_training_settings *settings,
                       struct mo_controller **controller);

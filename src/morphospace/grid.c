@@ -167,7 +167,7 @@ void mo_grid_place(struct mo_workspace workspace, uint64_t *bits)
   shift_bits(bits, mo_workspace_words(workspace), shift);
 }
 
-/* ---- another workspace ---- */
+/* ---- moving to a different workspace ---- */
 
 int mo_grid_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
                  uint64_t *moved)
@@ -187,7 +187,7 @@ int mo_grid_move(struct mo_workspace from, const uint64_t *bits, struct mo_works
       const uint32_t x = v / from.nz / from.ny - extent.low[0];
       const uint32_t y = v / from.nz % from.ny - extent.low[1];
       const uint32_t z = v % from.nz - extent.low[2];
-      /* Rotated by 90°: (x, y) goes to (−y, x), moved back into the box. */
+      /* Rotated by 90°: (x, y) goes to (−y, x), shifted back into the box. */
       const uint32_t column = upright ? x * to.ny + y : (side[1] - 1 - y) * to.ny + x;
       mo_bits_set(moved, column * to.nz + z);
     }

@@ -8,8 +8,8 @@
 
 #define EXPONENT_MAX 600.0 /* mo_fast_exp is 0 below −700 */
 
-/* exp(x), of either sign. A body can fall so far that the loss would overflow; only a body that
- * diverged has an infinite loss. */
+/* Returns exp(x) for x of either sign. A body can fall so far that the loss would overflow; only a
+ * body that diverged has an infinite loss. */
 static double exponential(double x)
 {
   const double bounded = fmin(fmax(x, -EXPONENT_MAX), EXPONENT_MAX);

@@ -17,7 +17,7 @@ struct mo_course {
   uint32_t n_periods; /* control periods, of which the last may be shorter */
 };
 
-/* What a task adds up besides the sum of struct mo_track. */
+/* What a task adds up in addition to the sum of struct mo_track. */
 struct mo_tally {
   double sums[5];     /* of a sum's terms: course.c numbers them */
   double peak_m;      /* jump: largest height of the center of mass at the instants that count */
@@ -37,7 +37,7 @@ struct mo_track {
   double along_m;   /* path: the farthest place on this leg that the body has reached */
   uint32_t leg;     /* path: number of way-points that the body has reached */
   enum {
-    MO_TRACK_KEPT,  /* along_m is that of the instant before */
+    MO_TRACK_KEPT,  /* along_m is that of the previous instant */
     MO_TRACK_MOVED, /* it changes with the center of mass at this instant */
     MO_TRACK_SET    /* it is an end of the leg */
   } along_is;

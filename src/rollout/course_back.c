@@ -4,7 +4,7 @@
 
 #include <string.h>
 
-/* d += factor · (a − b) / |a − b| in x, y; nothing where they meet. */
+/* Computes d += factor · (a − b) / |a − b| in x, y; adds nothing where they meet. */
 static void add_away(double factor, const double *a_m, const double *b_m, double d[3])
 {
   const double length = distance(a_m, b_m);
@@ -18,7 +18,7 @@ static void add_facing(double factor, const struct mo_track *track, double d[3])
     d[axis] += factor * track->facing[axis];
 }
 
-/* Height above the terrain. */
+/* Adds the part through the height above the terrain. */
 static void add_height(double factor, const struct mo_course *course, const double com_m[3],
                        double d[3])
 {
@@ -29,7 +29,7 @@ static void add_height(double factor, const struct mo_course *course, const doub
   d[2] += factor;
 }
 
-/* weight · ∂loss/∂ the value of term i. */
+/* Returns weight · ∂loss/∂ the value of term i. */
 static double slope_of(const struct mo_course *course, uint32_t i, double loss, double weight)
 {
   const double scale = mo_objective_scale(task_of(course)->objective);
@@ -84,7 +84,7 @@ static void add_efficiency(double slope, const struct mo_course *course, const d
     add_away(slope / work_kj(work_j), com_m, course->start_m, d_com);
 }
 
-/* slope: ∂loss/∂ the value of the term. */
+/* Adds the part of a term at the end. slope: ∂loss/∂ its value. */
 static void term_end_back(const struct mo_course *course, const struct mo_track *track,
                           uint32_t term, double slope, struct mo_course_adjoint *adjoint,
                           double d_com[3])
@@ -174,7 +174,7 @@ void mo_course_back(const struct mo_course *course, double t_s, const struct mo_
   progress_back(track, adjoint, d_com);
 }
 
-/* slope: weight · ∂loss/∂ the value of the term. */
+/* Adds the part of a term at a restart. slope: weight · ∂loss/∂ its value. */
 static void term_restart(const struct mo_course *course, double t_s, const struct mo_track *track,
                          const double com_m[3], uint32_t term, double slope,
                          const struct mo_course_adjoint *adjoint, double d_com[3])

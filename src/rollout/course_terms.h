@@ -37,7 +37,7 @@ static inline bool is_sum(const struct mo_course *course)
   return task_of(course)->objective == MO_OBJECTIVE_SUM;
 }
 
-/* A single objective is one term. */
+/* Returns the number of terms; a single objective is one. */
 static inline uint32_t terms_of(const struct mo_course *course)
 {
   return is_sum(course) ? task_of(course)->n_terms : 1;
@@ -107,7 +107,7 @@ static inline double d_sum_in(const struct mo_course *course,
   return is_sum(course) ? adjoint->d_sums[sum] : adjoint->d_sum;
 }
 
-/* The distance that those to the light are divided by. */
+/* Returns the distance by which distances to the light are divided. */
 static inline double far_m(const struct mo_course *course)
 {
   return is_sum(course) ? distance(course->start_m, course->environment->light_xy_m) + 1e-8

@@ -77,8 +77,7 @@ struct mo_fast_run {
   void *sensor;          /* (n_masses, lanes) */
   void *hidden;          /* (2, lanes, 256) */
   void *activation;      /* (lanes, panel) */
-  bool keeps;    /* activations outlive their step: for a control period, `split`, measures or
-                    states */
+  bool keeps;    /* activations outlive a step: control periods, `split`, measures, states */
   bool blends;   /* `split`, or for measures */
   void *held;    /* (n_panels · panel, lanes) the latest activations; one panel's if not kept */
   void *blended; /* (panel, lanes) the mean of new and previous activations, if it blends */

@@ -17,13 +17,13 @@ struct mo_kick {
   double keep, push, fall;
 };
 
-/* (1 − exp(−x)) / x from exp(−x): without the cancellation near 0. */
+/* Returns (1 − exp(−x)) / x, given exp(−x), without the cancellation near 0. */
 static inline double mo_kick_mean(double x, double decay)
 {
   return fabs(x) > 1e-3 ? (1 - decay) / x : 1 - x / 2 * (1 - x / 3 * (1 - x / 4));
 }
 
-/* The coefficient of contact's drag (contact.c). decay: exp(−drag · dt). */
+/* Returns the coefficient of contact's drag (contact.c). decay: exp(−drag · dt). */
 static inline double mo_kick_bend(const struct mo_scheme *scheme,
                                   const struct mo_constants *constants, double decay)
 {
@@ -44,7 +44,7 @@ static inline struct mo_kick mo_kick_of(const struct mo_scheme *scheme,
   return kick;
 }
 
-/* Of the first step. */
+/* Returns the kick of the first step. */
 static inline struct mo_kick mo_kick_first(const struct mo_scheme *scheme,
                                            const struct mo_constants *constants, double decay)
 {

@@ -174,7 +174,7 @@ void mo_measures_round(uint32_t set, const double observed[MO_MEASURES], double 
 
 /* ---- the body at rest ---- */
 
-/* The sums of the masses' lattice coordinates. */
+/* Computes the sums of the masses' lattice coordinates. */
 static void sum_lattice(const struct mo_body *body, int64_t sum[3])
 {
   memset(sum, 0, 3 * sizeof(*sum));
@@ -183,7 +183,7 @@ static void sum_lattice(const struct mo_body *body, int64_t sum[3])
       sum[axis] += body->mass_xyz[3 * (size_t)m + (size_t)axis];
 }
 
-/* A mass's place at rest from the center of mass. */
+/* Computes a mass's place at rest, relative to the center of mass. */
 static void rest_offset(const struct mo_body *body, const int64_t sum[3], uint32_t mass,
                         double offset_m[3])
 {

@@ -28,7 +28,8 @@ static void lay_out(struct mo_pack *pack, bool for_gradients, struct carver *car
   }
 }
 
-/* + 0: a bias of −0 becomes 0, so that leaving out products of 0 changes no bit (kernel_tiles.inc).
+/* Stores a number + 0: a bias of −0 becomes 0, so that leaving out products of 0 changes no bit
+ (kernel_tiles.inc).
  */
 static void put(const struct mo_pack *pack, void *array, size_t i, float value)
 {

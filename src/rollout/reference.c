@@ -304,7 +304,7 @@ int mo_reference_init_from(struct mo_reference *reference, const struct mo_body 
   return MO_OK;
 }
 
-/* The place of a window's end among the tracks. */
+/* Returns the place of a window's end among the tracks. */
 static uint32_t last_track(const struct mo_reference *r)
 {
   const uint32_t end = r->window.end_step, p = r->control_steps;

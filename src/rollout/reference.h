@@ -20,7 +20,7 @@ struct mo_step_tape {
   double *velocity_m_per_s; /* (n_masses, 3) after springs, drag and gravity, before contact */
   double *acceleration;     /* (n_masses, 3) m/s² by springs and gravity */
   double *activation;       /* (n_springs) what the springs pulled with */
-  double *previous;         /* (n_springs) the controller's outputs in the step before */
+  double *previous;         /* (n_springs) the controller's outputs in the previous step */
   struct mo_controller_tape control; /* over the body's springs; the steps of a control period share
                                         one */
 };
@@ -54,7 +54,7 @@ struct mo_reference {
   struct mo_step_tape *tape; /* of the next step; initially `own` */
 };
 
-/* Initializes a rollout. Borrows all arguments. MO_ERR_INVALID: the controller is for another
+/* Initializes a rollout. Borrows all arguments. MO_ERR_INVALID: the controller is for a different
  * workspace, or the control period is invalid; MO_ERR_NO_MEMORY. */
 int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
                       const struct mo_controller *controller,
@@ -69,9 +69,9 @@ void mo_reference_done(struct mo_reference *reference);
 /* Writes the state after the last step; not its observers' part of the tally. */
 void mo_reference_save(const struct mo_reference *reference, struct mo_state *to);
 
-/* Runs step number `step`, from 0. Its tape must hold the controller's outputs of the step before,
- * unless a control period starts. Returns false if it diverged; the positions are then those before
- * the step. */
+/* Runs step number `step`, from 0. Its tape must hold the controller's outputs of the previous
+ * step, unless a control period starts. Returns false if it diverged; the positions are then those
+ * before the step. */
 bool mo_reference_step(struct mo_reference *reference, uint32_t step);
 
 /* Computes the light of the control period that starts with step number `step`. Its track must be

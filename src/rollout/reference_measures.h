@@ -14,7 +14,7 @@ struct mo_reference_measures {
   double (*rows)[3];    /* (n_masses) mo_measuring_frame */
   uint8_t (*halves)[2]; /* (n_masses) mo_measuring_halves */
   bool *inverted;       /* (n_voxels) at the previous instant */
-  bool touches;         /* the terrain, in the step before */
+  bool touches;         /* the terrain, in the previous step */
 };
 
 /* from: the state that the reference starts from, or NULL. measuring: NULL or of one rollout. If

@@ -14,9 +14,9 @@ struct mo_store;
 
 bool mo_atlas_name_is_valid(const char *name);
 
-/* The folder of all atlases. Opening the store creates it, and removes files in it whose names
- * begin with ".tmp-", and every NAME.atlas.part without an unfinished job. Valid as long as the
- * store is open. */
+/* Returns the path of the folder of all atlases. Opening the store creates it, and removes files in
+ * it whose names begin with ".tmp-", and every NAME.atlas.part without an unfinished job. Valid as
+ * long as the store is open. */
 const char *mo_store_atlases_path(const struct mo_store *store);
 /* Returns the path of an atlas with a valid name (malloc), or NULL if memory runs out. */
 char *mo_store_atlas_path(const struct mo_store *store, const char *name);

@@ -87,7 +87,7 @@ static int64_t packed_size(const struct mo_design_size *size)
                    (uint64_t)size->voxels << 26 | (uint64_t)size->footprint << 36);
 }
 
-/* A parent's number, or NULL. */
+/* Returns a parent's number, or NULL. */
 static struct mo_value parent_value(const struct mo_descent *descent, int which)
 {
   return descent->parents[which] == MO_NO_PARENT ? mo_null() : mo_int(descent->parents[which]);

@@ -64,7 +64,7 @@ static int column_measures(sqlite3_stmt *row, int column, double measures[MO_DES
   return MO_OK;
 }
 
-/* The reverse of packed_size (campaign_commit.c). */
+/* Reverses packed_size (campaign_commit.c). */
 static struct mo_design_size unpacked_size(int64_t size)
 {
   return (struct mo_design_size){.springs = (uint32_t)(size & 0xffff),

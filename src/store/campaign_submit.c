@@ -246,7 +246,7 @@ static int extend(struct mo_store *store, void *arguments)
     return error == MO_ERR_CONFLICT ? MO_ERR_DUPLICATE : error;
   error = mo_job_state_get(writer, call->id, &state, &kind);
   if (error == MO_OK)
-    error = mo_sql_row(writer, &row, find_sql, id); /* not found: a job of another kind */
+    error = mo_sql_row(writer, &row, find_sql, id); /* not found: a job of a different kind */
   if (error == MO_OK)
     error = mo_column_settings(row, 0, MO_JOB_CAMPAIGN, &record);
   if (error != MO_OK)

@@ -2,7 +2,7 @@
  * (morpho/certificate.h).
  *
  * A certificate is a job of kind MO_JOB_CERTIFICATE. Its settings never change. Its designs are
- * those of the job. Its losses are rows of their own, because most of its worlds belong to no other
+ * those of the job. Its losses have their own rows, because most of its worlds belong to no other
  * job. They are computed and stored in one order: trial by trial; within a trial, by parts of
  * MO_CERTIFICATE_PART environments; within a part, design by design. A job continues after the
  * stored losses.
@@ -97,7 +97,7 @@ struct mo_certificate_losses {
 };
 /* All return MO_ERR_CONFLICT if the job has ended, or was not started under this opening. */
 /* Stores where an attempt begins, and the classes of the losses that it computes. If the stored
- * losses belong to other classes, deletes them, and *restarts: the job begins again. */
+ * losses belong to different classes, deletes them, and *restarts: the job begins again. */
 int mo_store_certificate_start(struct mo_store *store, int64_t id,
                                const struct mo_certificate_classes *classes, bool *restarts);
 /* Adds losses and stores the progress, with the event "certificate.progress". Resets the job's

@@ -30,8 +30,8 @@ struct mo_checkpoints_removed {
 /* Removes the checkpoints that are not needed, or (step > 0) one checkpoint of a training run. A
  * job that has ended does not need any. An unfinished training run needs the newest one, to resume
  * from; an unfinished campaign needs all of them. May use the reserve. MO_ERR_NOT_FOUND: no such
- * job of this kind, or no such checkpoint; MO_ERR_CONFLICT: the training has not ended and resumes
- * from this checkpoint. */
+ * job of this kind, or no such checkpoint; MO_ERR_CONFLICT: the run has not ended and resumes from
+ * this checkpoint. */
 int mo_store_checkpoints_remove(struct mo_store *store, int64_t id, enum mo_job_kind kind,
                                 uint32_t step, struct mo_checkpoints_removed *removed);
 

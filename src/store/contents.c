@@ -134,8 +134,8 @@ int mo_store_environment_set_size(struct mo_store *store, const char *name, uint
   return error;
 }
 
-/* Named sets are constants of the code with rows of their own, so that scores can refer to them.
- * Once a folder has stored a set with a name, the set never changes there. */
+/* Named sets are constants of the code with their own rows, so that scores can refer to them. Once
+ * a folder has stored a set with a name, the set never changes there. */
 static int make_set(struct mo_connection *writer, int i, struct mo_environment *environments)
 {
   static const char set_sql[] = "INSERT INTO environment_sets(name,n) VALUES(?1,?2)";

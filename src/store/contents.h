@@ -14,7 +14,7 @@ int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physic
  * (mo_ladder_runs(n_displaced, tolerance)); rows[0] does not change. MO_ERR_CORRUPT: not stored. */
 int mo_physics_runs(struct mo_connection *connection, const struct mo_setting *first,
                     enum mo_sensor sensor, uint32_t n_displaced, double tolerance, int64_t *rows);
-/* A design and one of its orientations. */
+/* Finds or inserts a design and one of its orientations. */
 int mo_genotype_row(struct mo_connection *writer, const uint64_t *form, const uint64_t *genotype,
                     int64_t now_us, int64_t *row);
 enum mo_texts { MO_FINGERPRINTS, MO_ORIGINS };
@@ -38,7 +38,7 @@ int mo_designs_insert(struct mo_connection *writer, int64_t id, const struct mo_
                       const struct mo_design_note *notes, uint32_t n_notes, int64_t now_us);
 int mo_notes_insert(struct mo_connection *writer, int64_t id, const struct mo_design_note *notes,
                     uint32_t n);
-/* Reads the notes on a job's designs, ascending. The caller frees the list, also after an error. */
+/* Reads the notes on a job's designs, ascending. The caller frees the list, even after an error. */
 int mo_notes_read(struct mo_connection *reader, int64_t id, struct mo_design_note **notes,
                   uint32_t *n);
 int mo_design_insert(struct mo_connection *writer, int64_t id, uint32_t position, int64_t genotype);

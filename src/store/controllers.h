@@ -8,8 +8,7 @@ struct mo_store;
 
 struct mo_controller_record {
   char name[MO_NAME_BYTES_MAX + 1]; /* "" when looked up by hash */
-  int64_t version;                  /* version of the name: grows when the name gets other
-                                     * content */
+  int64_t version;                  /* version of the name: grows when the name gets new content */
   struct mo_sha256 sha256;          /* of the file's bytes */
   uint64_t size;                    /* bytes */
   enum mo_sensor sensor;

@@ -262,7 +262,7 @@ int mo_store_delete_job(struct mo_store *store, int64_t id, struct mo_deleted *d
   return MO_OK;
 }
 
-/* One round: nothing is left afterwards. */
+/* Runs one round; nothing is left afterward. */
 static int forget(struct mo_store *store, void *arguments)
 {
   (void)arguments;

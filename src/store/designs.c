@@ -202,7 +202,7 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
     is_same = score != NULL && condition.controller == group.controller &&
               condition.physics == group.physics && condition.fingerprint == group.fingerprint &&
               sqlite3_column_int64(statement, SET) == group.set;
-    if (*room == 0) { /* at least one more row exists than is reported, perhaps of this score */
+    if (*room == 0) { /* at least one more row exists than is reported, possibly of this score */
       *room = UINT32_MAX;
       orientation->n_scores -= is_same && group.set != 0;
       break;

@@ -380,7 +380,7 @@ static int load_paths(struct mo_connection *reader, const struct range *range,
   return error;
 }
 
-/* The mean of a row's losses, where unknown ones of a lower bound count as 0. */
+/* Computes the mean of a row's losses, where unknown ones of a lower bound count as 0. */
 static void finish_score(struct mo_evaluation_results *results, uint32_t n)
 {
   const double *losses = &results->losses[(size_t)n * results->n_environments];

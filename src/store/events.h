@@ -37,7 +37,7 @@ int mo_store_subscribe(struct mo_store *store, mo_store_listener listener, void 
 void mo_store_unsubscribe(struct mo_store *store, int handle);
 
 /* Finds the newest kept event with a sequence of at most `after`: `after` itself, unless it was
- * pruned or belongs to another history of the store. 0: no such event. */
+ * pruned or belongs to a different history of the store. 0: no such event. */
 int mo_store_event_before(struct mo_store *store, int64_t after, int64_t *sequence);
 /* Reads events with sequence > after, ascending, at most `limit`; job 0: of all jobs. Returns the
  * number written to `events` or an error. *oldest, *newest (nullable): the range of kept events (0,

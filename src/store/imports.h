@@ -120,8 +120,7 @@ int mo_import_finish(struct mo_import *import);
 /* Frees the import. Without a successful mo_import_finish, its jobs are deleted. */
 void mo_import_close(struct mo_import *import);
 
-/* Finds job `own` (0: none) if it exists; otherwise like mo_store_import_find, also among the
- * import's own jobs. */
+/* Finds job `own` (0: none) if it exists, else as mo_store_import_find, also among its own jobs. */
 int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t own,
                    int64_t *id);
 int mo_import_controller(struct mo_import *import, const struct mo_controller *controller,

@@ -5,8 +5,8 @@
 #include "store/sql.h"
 #include "store/store.h"
 
-/* Columns of j jobs, e evaluations, r runs, t trainings, m campaigns, a atlases, k certificates, c
- * the controller, x the result, p physics, s the named set. */
+/* Columns of j jobs, e evaluations, r runs, t training runs, m campaigns, a atlases, k
+ * certificates, c the controller, x the result, p physics, s the named set. */
 #define MO_JOB_COLUMNS(X)                                                                          \
   X(ID, "j.id")                                                                                    \
   X(VERSION, "j.version")                                                                          \

@@ -45,7 +45,7 @@ static int read_measures(struct mo_connection *connection, struct mo_origin_plac
   return mo_measures_from_row(found, 0, condition, measures->values, n_measures);
 }
 
-/* Reads what rollouts depend on besides their environments. */
+/* Reads what rollouts depend on in addition to their environments. */
 static int read_inputs(struct mo_connection *reader, struct mo_origin_row *row)
 {
   static const char sql[] =
@@ -223,7 +223,7 @@ static int replace_row(struct mo_store *store, const struct mo_origin_row *row, 
   static const char version_sql[] =
       "UPDATE jobs SET " MO_NEXT_VERSION
       " WHERE id IN (SELECT job FROM evaluations WHERE controller=?1 AND"
-      " (physics=?2 OR n_displaced>0))"; /* whose other runs have other physics */
+      " (physics=?2 OR n_displaced>0))"; /* whose other runs have different physics */
   struct mo_connection *writer = &store->writer;
   sqlite3_stmt *found;
   int error = MO_OK;

@@ -104,7 +104,7 @@ int mo_column_genotype(sqlite3_stmt *statement, int column, struct mo_genotype *
  * that a damaged body is never mistaken for the scored one. */
 int mo_column_design(sqlite3_stmt *statement, int genotype_column, int form_column,
                      struct mo_genotype *genotype, struct mo_genotype *form);
-/* The same for a list. form: nullable. */
+/* Reads the same for a list. form: nullable. */
 int mo_column_listed(sqlite3_stmt *statement, int genotype_column, int form_column,
                      struct mo_bits *genotype, struct mo_bits *form);
 /* Reads an environment and checks its hash. */

@@ -84,11 +84,12 @@ int mo_store_clean(struct mo_store *store,
                    void (*report)(void *context, const char *name, uint64_t bytes), void *context);
 /* Confirms that the wall clock is right, even if the service was off for a long time. */
 int mo_store_accept_clock(struct mo_store *store);
-/* A random number chosen when the database was created: unique to this store. */
+/* Returns a random number chosen when the database was created: unique to this store. */
 uint64_t mo_store_id(const struct mo_store *store);
-/* A random number for this history; a restored backup, a copy or a crash starts a new one. */
+/* Returns a random number for this history; a restored backup, a copy or a crash starts a new
+ * one. */
 uint64_t mo_store_history(const struct mo_store *store);
-/* The number of times the store was opened: unique to this opening. */
+/* Returns the number of times the store was opened: unique to this opening. */
 uint64_t mo_store_epoch(const struct mo_store *store);
 
 struct mo_store_stats {

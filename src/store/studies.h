@@ -63,8 +63,8 @@ struct mo_telling_reply {
   bool is_new; /* false: the same batch was submitted before */
 };
 /* Stores a batch, with the checkpoint of the sampler, in one transaction. Submitting the same batch
- * again changes nothing. A batch has scores if, and only if, the study has an own score; a body has
- * only one such score in the whole study. MO_ERR_NOT_FOUND: no such study; for other errors see
+ * again changes nothing. A batch has scores if, and only if, the study has its own score; a body
+ * has only one such score in the whole study. MO_ERR_NOT_FOUND: no such study; for other errors see
  * reply->fault. */
 int mo_store_study_tell(struct mo_store *store, int64_t id, const struct mo_study_telling *telling,
                         struct mo_telling_reply *reply);

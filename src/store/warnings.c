@@ -167,8 +167,8 @@ uint32_t mo_warn_of_world(const struct mo_physics *physics,
   return warn_of_dt(&here, where, warning);
 }
 
-/* The least stable of the worlds that learning draws: stiff and light, with the lowest or the
- * highest drag. */
+/* Warns about the least stable of the worlds that learning draws: stiff and light, with the lowest
+ * or the highest drag. */
 static void warn_of_vary(struct mo_job *job, const struct mo_factor_ranges *vary)
 {
   if (!vary->given || !mo_step_is_stable(&job->physics, MO_EIGENVALUE_MAX))

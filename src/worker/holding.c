@@ -109,7 +109,7 @@ static bool take_block(struct slot *slot, int status)
   struct lease *lease = slot->lease;
   struct mo_holding *holding = lease->holding;
   if (status == MO_OK && slot->block.computed_on != lease->wire.back_end)
-    status = MO_ERR_UNSUPPORTED; /* its bits belong to another class */
+    status = MO_ERR_UNSUPPORTED; /* its bits belong to a different class */
   for (uint32_t k = 0; status == MO_OK && k < slot->block.n_environments; k++) {
     const struct mo_outcome *outcome = &slot->block.outcomes[k];
     lease->result.losses[slot->first_row + k] = outcome->loss;

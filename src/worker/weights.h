@@ -22,7 +22,7 @@ struct mo_kept_weights {
 };
 int mo_kept_weights_init(struct mo_kept_weights *weights, struct mo_compute *compute);
 void mo_kept_weights_clear(struct mo_kept_weights *weights); /* call it when no block uses a
-                                                              * controller anymore */
+                                                                controller any longer */
 
 /* Adds the bytes of a controller's file. MO_ERR_CORRUPT: they do not have this hash; MO_ERR_FORMAT,
  * MO_ERR_LIMIT: they are not a controller for this workspace; MO_ERR_EXHAUSTED: all kept

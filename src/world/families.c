@@ -99,7 +99,7 @@ static int first_at(const struct mo_terrain_recipe *recipe, double x_m)
   return (int)ceil(x_m / recipe->spacing_m - 1e-9);
 }
 
-/* Sine and cosine of x, |x| ≤ π/4, from their series. */
+/* Computes the sine and cosine of x, |x| ≤ π/4, from their series. */
 static void sine_cosine(double x, double *sine, double *cosine)
 {
   const double s = x * x;
@@ -112,7 +112,7 @@ static void sine_cosine(double x, double *sine, double *cosine)
   *cosine = 1 + of_cosine;
 }
 
-/* tan x, |x| ≤ π/4: within 4 ulp. */
+/* Returns tan x, |x| ≤ π/4, within 4 ulp. */
 static double tangent(double x)
 {
   double sine, cosine;

@@ -101,7 +101,7 @@ static void draw_shuttle(struct mo_random *random, struct mo_guide *guide)
     set_point(guide, i, middle_m, i % 2 == 0 ? length_m : 0, direction);
 }
 
-/* Each leg turns by at most about 120° from the previous one. */
+/* Draws a path: each leg turns by at most about 120° from the previous one. */
 static void draw_path(struct mo_random *random, struct mo_guide *guide)
 {
   double before[2], direction[2];

@@ -379,7 +379,8 @@ static void read_damage(struct mo_json *json, struct mo_environment *environment
 
 /* ---- factors ---- */
 
-/* Those that are not given are 1, and an object in which all are 1 is the same as none. */
+/* Reads factors: those that are not given are 1, and an object in which all are 1 is the same as
+ * none. */
 static void read_factors(struct mo_json *json, struct mo_environment *environment)
 {
   const unsigned faults = json->faults->n;

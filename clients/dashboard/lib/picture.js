@@ -20,7 +20,7 @@ const SIDES = [
 /**
  * @param {string} genotype
  * @param {string} [label] read by screen readers; without a label the drawing is decoration
- * @param {Set<string>} [marked] cells as "x,y,z" in another color
+ * @param {Set<string>} [marked] cells as "x,y,z" in a different color
  */
 export function picture(genotype, label, marked) {
   // Painter's algorithm: back to front.

@@ -129,7 +129,8 @@ export const worldsOf = async ({ set, environments }) => (set ? environmentSet(s
 /** How long a window of a drive is, about. */
 const WINDOW_S = 0.2;
 
-/** Returns how a drive is cut, whatever the time step: steps per frame and frames per window. */
+/** Returns how a drive is cut, regardless of the time step: steps per frame and frames per
+ * window. */
 export function windowOf({ dt_s: stepS = STEP_S } = {}) {
   const stride = Math.max(1, Math.round(FRAME_S / stepS));
   const frameS = stride * stepS;

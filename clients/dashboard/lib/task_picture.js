@@ -1,5 +1,5 @@
 /**
- * Pictures of tasks, drawn from what a request asks for: from above, the path and the light; below
+ * Pictures of tasks, drawn from what a request specifies: from above, the path and the light; below
  * them, the ground from the side.
  */
 

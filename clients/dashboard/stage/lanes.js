@@ -23,7 +23,7 @@ const LAMP_M = 0.06;
 /** Masses are checked in every n-th frame. */
 const EVERY = 3;
 
-/** Whether the light of a robot only shows the way: the distance to it does not count. */
+/** Returns whether the light of a robot only shows the way: the distance to it does not count. */
 const isGuide = ({ lights, world: { task } }) => Boolean(lights && task) &&
   !['reach', 'approach', 'pursue'].includes(task.objective);
 

@@ -14,7 +14,7 @@ export function centerOfMass(robot, frame) {
   });
 }
 
-/** Measured once: every picture asks for them several times. */
+/** Measured once: every picture needs them several times. */
 function centersOf(robot) {
   if (!robot.centers) {
     robot.centers = new Float32Array(rowsOf(robot) * 3);

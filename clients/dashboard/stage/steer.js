@@ -156,7 +156,7 @@ export class Steering {
     const direction = event.shiftKey ? ARROWS[event.key] : LETTERS[event.code];
     if (!direction && event.key !== 'Escape') return;
     event.preventDefault();
-    event.stopImmediatePropagation(); // the same keys do other things while nobody drives
+    event.stopImmediatePropagation(); // the same keys do other things while no robot is driven
     if (!direction) {
       this.leave();
     } else if (!this.down.has(event.code)) {

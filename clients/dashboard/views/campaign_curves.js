@@ -137,7 +137,7 @@ export class CampaignCurves {
       { name: 'median', x, y: quantile('p50'), color: '--blue' },
       { name: 'best', x, y: quantile('p0'), color: '--orange' },
     ];
-    // Statistics over replicates are of a generation, whatever each has cost.
+    // Statistics over replicates are per generation, whatever it cost each replicate.
     if (replicates?.rows.length && this.axis === 'generation') {
       const r = replicates.rows;
       const rx = column(r, (row) => row.generation);

@@ -177,7 +177,8 @@ export class Driving {
     this.#report(now);
   }
 
-  /** Keeps the time real while a picture takes long; while nobody watches, it stands still. */
+  /** Keeps the time real while a picture takes long; while the page is not watched, time stands
+   * still. */
   #tickUnseen() {
     if (document.hidden || !this.player.isSeen) this.drive.skip();
     else this.drive.tick();

@@ -8,7 +8,7 @@ import { may } from '../lib/rights.js';
 import { editDialog } from './job_edit.js';
 import { announced, confirmDialog } from './share.js';
 
-/** Jobs besides the first on one page: as many as there are distinct colors. */
+/** Jobs in addition to the first on one page: as many as there are distinct colors. */
 export const COMPARED_MAX = 3;
 
 /** Returns who submitted a job, if known: ", by anna". */

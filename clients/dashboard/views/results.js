@@ -84,7 +84,7 @@ class SuitePicture {
   }
 
   async #refresh() {
-    for (;;) { // what to draw may change meanwhile
+    for (;;) { // what to draw may change in the meantime
       const room = this.element.clientWidth - PADDING_PX;
       const width = room >= WIDE_PX ? WIDE_PX : Math.max(LEAST_PX, Math.min(room, NARROW_PX - 1));
       const path = withQuery(this.path,

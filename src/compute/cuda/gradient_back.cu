@@ -80,7 +80,7 @@ static __device__ __forceinline__ void add_sixteen(warp_sums<MT> &sums, weights_
   }
 }
 
-/* The tile with the number in the k-th byte of `four`. */
+/* Loads the tile with the number in the k-th byte of `four`. */
 static __device__ __forceinline__ uint4 load_tile(const uint4 *from, uint32_t four, int k)
 {
   return load_weights_here(
@@ -118,8 +118,8 @@ template <int MT, int SHARE, int TIME> struct back : back_physics<MT, SHARE, TIM
           (uint8_t)threadIdx.x; /* then the first tiles of a hidden layer */
   }
 
-  /* The half of the block that row 16 m + 8 h + lane / 4 belongs to, and whether it is this lane's
-   * first row of that half. */
+  /* Return the half of the block that row 16 m + 8 h + lane / 4 belongs to, and whether it is this
+   * lane's first row of that half. */
   static __device__ __forceinline__ int half_of(int h)
   {
     return MT > 1 ? h : 0;
@@ -130,7 +130,7 @@ template <int MT, int SHARE, int TIME> struct back : back_physics<MT, SHARE, TIM
   }
 
   /* Sums this lane's four columns over rows, by halves, and adds them to the sums over all steps.
-   * Lanes 4, 8 and 16 apart have other rows of the same columns; each of them ends up with one
+   * Lanes 4, 8 and 16 apart have different rows of the same columns; each of them ends up with one
    * column of one half. */
   __device__ __forceinline__ void add_columns(float *to, const float2 (&d)[MT][2])
   {
@@ -158,8 +158,8 @@ template <int MT, int SHARE, int TIME> struct back : back_physics<MT, SHARE, TIM
     }
   }
 
-  /* The first of the tiles of springs for this warp's neurons, and of its sixteen tiles of a hidden
-   * layer. */
+  /* Return the first of the tiles of springs for this warp's neurons, and of its sixteen tiles of a
+   * hidden layer. */
   __device__ __forceinline__ const uint4 *last_tiles() const
   {
     return k.weights.back[3] + (uint32_t)warp * MO_GP_OUTPUT_TILES * 32 + lane;
@@ -176,7 +176,7 @@ template <int MT, int SHARE, int TIME> struct back : back_physics<MT, SHARE, TIM
     return (MO_GK_AHEAD_BACK - n_outputs % MO_GK_AHEAD_BACK) % MO_GK_AHEAD_BACK;
   }
 
-  /* The ring's first places are skipped, or their content is not used. */
+  /* Starts to load the ring; its first places are skipped, or their content is not used. */
   __device__ __forceinline__ void start_ahead(weights_ahead<MO_GK_AHEAD_BACK> &ahead) const
   {
     const int before = lead();

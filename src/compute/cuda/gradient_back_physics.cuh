@@ -17,7 +17,7 @@ struct back_mass {
   float2 xy, z_gx, gyz; /* position; ∂loss/∂ velocity */
 };
 
-/* Data that is read once bypasses the first-level cache, which is left to other data. */
+/* Loads data that is read once: it bypasses the first-level cache, which is left to other data. */
 static __device__ __forceinline__ uint32_t load_once(const uint32_t *p)
 {
   uint32_t x;
@@ -144,8 +144,8 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
                    "+r"(n1), "+r"(n_outputs));
   }
 
-  /* The i-th mass that was put aside, stored in the rows of the network's last adjoint that only
-   * this warp reads. */
+  /* Returns the i-th mass that was put aside, stored in the rows of the network's last adjoint that
+   * only this warp reads. */
   __device__ __forceinline__ uint16_t *aside(int i)
   {
     return (uint16_t *)left + own_row(i >> 8) * MO_GK_ROW + (i & 255);

@@ -71,7 +71,7 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
       input[i] = k.input[g.first_mass + half_begin + i];
   }
 
-  /* The center of mass of a row, in world coordinates. */
+  /* Returns the center of mass of a row, in world coordinates. */
   __device__ __forceinline__ double3 center(int r) const
   {
     const int n = own_masses(r), from = first + own_begin(r);
@@ -232,12 +232,12 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
     __syncthreads();
   }
 
-  /* The first of this warp's sixteen tiles of a hidden layer. */
+  /* Returns the first of this warp's sixteen tiles of a hidden layer. */
   __device__ __forceinline__ const uint4 *hidden_tiles(int layer) const
   {
     return k.weights.forward[layer] + (uint32_t)warp * (16 * 32) + lane;
   }
-  /* The first tile for a tile of springs. */
+  /* Returns the first tile for a tile of springs. */
   __device__ __forceinline__ const uint4 *output_tiles(int u) const
   {
     return k.weights.forward[3] + (uint32_t)output_tile[min(u, n_outputs - 1)] * (16 * 32) + lane;
@@ -466,7 +466,8 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
     }
   }
 
-  /* The velocity of a mass as the springs find it: −0 is what adds nothing to any number. */
+  /* Returns the velocity of a mass as the springs find it: −0 is what adds nothing to any
+   * number. */
   __device__ __forceinline__ float unpushed(int m, int axis, float u) const
   {
     const lane_physics of = physics_of(own_row(is_second(m)));

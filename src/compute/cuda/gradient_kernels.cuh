@@ -157,7 +157,7 @@ static int allow_shared(Kernel kernel, uint32_t block_bytes, uint32_t *dynamic_b
                                    (int)*dynamic_bytes);
 }
 
-/* A spring's activation from the tape, and its target length. */
+/* Return a spring's activation from the tape, and its target length. */
 static __device__ __forceinline__ float activation_of(int16_t kept)
 {
   return (float)kept * (1.0f / 32767.0f);
@@ -282,8 +282,8 @@ template <int MT, int SHARE, int TIME> struct walker {
     behind = (unsigned char *)output_memory + (ROWS * width * 2 + 15) / 16 * 16;
   }
 
-  /* The pass of the network whose outputs act in a step; whether the step is the first of its
-   * control period, which computes them, or the last. */
+  /* Return the pass of the network whose outputs act in a step, and whether the step is the first
+   * of its control period, which computes them, or the last. */
   __device__ __forceinline__ uint32_t pass_of(uint32_t step) const
   {
     return PERIODIC ? step / k.control_steps : step;
@@ -297,13 +297,13 @@ template <int MT, int SHARE, int TIME> struct walker {
     return !PERIODIC || (step + 1) % k.control_steps == 0 || step + 1 == k.n_steps;
   }
 
-  /* Whether a step has new outputs, which the springs blend with the previous ones. */
+  /* Returns whether a step has new outputs, which the springs blend with the previous ones. */
   __device__ __forceinline__ bool blends(uint32_t step) const
   {
     return SPLIT && step > 0 && begins_period(step);
   }
 
-  /* A row of the block at the start of a pass; after the last one: at the end. */
+  /* Returns a row of the block at the start of a pass, or, after the last pass, at the end. */
   __device__ __forceinline__ guided_row guided(int row, uint32_t instant) const
   {
     const int at = group_row(row);
@@ -368,12 +368,12 @@ template <int MT, int SHARE, int TIME> struct walker {
     __syncwarp();
   }
 
-  /* Whether this warp's only row is the pair's second. */
+  /* Returns whether this warp's only row is the pair's second. */
   __device__ __forceinline__ bool has_second() const
   {
     return SHARE > 1 && (warp & 1);
   }
-  /* The range of this warp's masses within the pair. */
+  /* Return the range of this warp's masses within the pair. */
   __device__ __forceinline__ int begin() const
   {
     return has_second() ? n0 : 0;
@@ -382,13 +382,13 @@ template <int MT, int SHARE, int TIME> struct walker {
   {
     return SHARE > 1 && !has_second() ? n0 : n0 + n1;
   }
-  /* The pair's first mass, within the group. */
+  /* Returns the pair's first mass, within the group. */
   __device__ __forceinline__ int group_first() const
   {
     return SHARE > 1 ? half_begin + first : first;
   }
 
-  /* The pair's k-th row; this warp's r-th; a row's place in the group. */
+  /* Return the pair's k-th row, this warp's r-th row, and a row's place in the group. */
   __device__ __forceinline__ int pair_row(int k) const
   {
     return warp / SHARE + PAIRS * k;
@@ -402,7 +402,7 @@ template <int MT, int SHARE, int TIME> struct walker {
     return SHARE == 1 ? row : row % PAIRS + PAIRS * half + 16 * (row / PAIRS);
   }
 
-  /* The number of masses in this warp's r-th row, and where they begin within the pair. */
+  /* Return the number of masses in this warp's r-th row, and where they begin within the pair. */
   __device__ __forceinline__ int own_masses(int r) const
   {
     return SHARE > 1 ? end() - begin() : r == 0 ? n0 : n1;
@@ -416,8 +416,8 @@ template <int MT, int SHARE, int TIME> struct walker {
   {
     return MT > 1 && m >= n0;
   }
-  /* This lane's first mass among the warp's: a lane has the same masses of a row, whether its warp
-   * has one row or two. */
+  /* Returns this lane's first mass among the warp's: a lane has the same masses of a row, whether
+   * its warp has one row or two. */
   __device__ __forceinline__ int lane_begin() const
   {
     return SHARE == 1 ? lane : begin() + ((lane - begin()) & 31);
@@ -472,7 +472,7 @@ template <int MT, int SHARE, int TIME> struct walker {
   }
 };
 
-/* Groups of 16 rows: rare, with registers of their own. */
+/* Groups of 16 rows: rare, with their own use of registers. */
 template <template <int, int, int> class Way, int TIME>
 static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group &g,
                                                unsigned char *shared, const mo_gk_task &task)

@@ -211,7 +211,7 @@ static __device__ __forceinline__ uint32_t pair_bfloat(float a, float b)
   return *(const uint32_t *)&h;
 }
 
-/* One thread per lane of a tile, forward and back. */
+/* Packs a matrix, with one thread per lane of a tile, forward and back. */
 static __global__ void pack_kernel(const float *w, uint32_t n_out, uint32_t n_in,
                                    uint32_t out_tiles, uint32_t in_tiles, uint4 *forward,
                                    uint4 *back)

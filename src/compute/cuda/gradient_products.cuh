@@ -121,7 +121,7 @@ struct wide_copies {
     right_to = place(MO_GK_JOB_COLUMNS / 8 + right_piece, right_row);
   }
 
-  /* The place of eight columns in a row. */
+  /* Returns the place of eight columns in a row. */
   static __device__ __forceinline__ uint32_t place(int piece, int row)
   {
     return (uint32_t)(piece / 8 * WIDE_LINES + row * 128 + ((piece ^ row) & 7) * 16);
@@ -152,7 +152,7 @@ static __device__ __forceinline__ uint64_t wide_operand(uint32_t address)
          (uint64_t)(1024 >> 4) << 32 | (uint64_t)1 << 62;
 }
 
-/* The descriptor of the ones, in any order. */
+/* Returns the descriptor of the ones, in any order. */
 static __device__ __forceinline__ uint64_t wide_ones(uint32_t address)
 {
   return (uint64_t)(address >> 4) | (uint64_t)(128 >> 4) << 16 | (uint64_t)(128 >> 4) << 32;
@@ -269,7 +269,7 @@ static __global__ void __launch_bounds__(WIDE_THREADS, 1)
   if (*k.cancel == 0)
     wide_products(k, jobs[blockIdx.x], first, end, shared);
 #else
-  __trap(); /* for another device: never called */
+  __trap(); /* for a different device: never called */
 #endif
 }
 

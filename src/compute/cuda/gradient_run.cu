@@ -57,8 +57,8 @@ uint32_t count_halved(const mo_device *device, const std::vector<mo_gradient_loa
                                                               (uint32_t)device->multiprocessors);
 }
 
-/* The bytes of the ticket counter, and of the counts of finished parts for each half of each
- * group. */
+/* Returns the bytes of the ticket counter, and of the counts of finished parts for each half of
+ * each group. */
 uint64_t tickets_bytes(const mo_gradient_plan &plan)
 {
   return (1 + 2 * (uint64_t)plan.n_groups) * 4;

@@ -56,7 +56,7 @@ struct mo_gp_sum {
 #define MO_GP_BOTH static inline
 #endif
 
-/* The number of control periods, the last of which may be shorter. */
+/* Returns the number of control periods, the last of which may be shorter. */
 MO_GP_BOTH uint32_t mo_gp_passes(uint32_t n_steps, uint32_t control_steps)
 {
   return (n_steps + control_steps - 1) / control_steps;
@@ -87,7 +87,7 @@ MO_GP_BOTH struct mo_gp_tape mo_gp_tape_of(const struct mo_gp_group *g, struct m
   return t;
 }
 
-/* The bytes of the tracks in a group's part of the tape, and of all of it. */
+/* Return the bytes of the tracks in a group's part of the tape, and of all of it. */
 MO_GP_BOTH uint64_t mo_gp_track_bytes(const struct mo_gp_group *g, struct mo_gp_time time)
 {
   const uint64_t instants = (uint64_t)mo_gp_passes(time.n_steps, time.control_steps) + 1;

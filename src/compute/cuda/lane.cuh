@@ -265,7 +265,8 @@ struct lane_place {
   bool crosses; /* the segment leaves its cell */
 };
 
-/* From p with velocity v; next: the ground under the end of the straight segment. */
+/* Finds the strike of a mass from p with velocity v. next: the ground under the end of the straight
+ * segment. */
 MO_INLINE struct lane_place lane_place_of(const struct lane_physics *k, struct lane_terrain terrain,
                                           const struct lane_cell *next, const V p[3], const V v[3])
 {
@@ -317,7 +318,8 @@ struct lane_glide {
   bool stays;
 };
 
-/* From p with velocity v, to which the springs have added push. a: set to the acceleration. */
+/* Computes the slide of a mass from p with velocity v, to which the springs have added push. a: set
+ * to the acceleration. */
 MO_INLINE struct lane_glide lane_glide_of(const struct lane_physics *k, const struct lane_split *c,
                                           struct lane_terrain terrain, const V push[3],
                                           const V p[3], const V v[3], V a[3])
@@ -374,8 +376,8 @@ MO_INLINE bool lane_lands_above(struct lane_terrain terrain, const struct lane_c
   return above;
 }
 
-/* The derivative for a mass that lies on the ground at p: sets dp and dv. gx, gy: gradient of the
- * ground where it struck. */
+/* Computes the derivative for a mass that lies on the ground at p: sets dp and dv. gx, gy: gradient
+ * of the ground where it struck. */
 MO_INLINE void lane_lift(struct lane_terrain terrain, const struct lane_place *at, V gx, V gy,
                          const V p[3], const V v[3], struct lane_strike_back *b, V dp[3], V dv[3])
 {

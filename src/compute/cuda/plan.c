@@ -355,8 +355,8 @@ void mo_plan_free(struct mo_plan *plan)
 
 /* ---- the first layer's inputs ---- */
 
-/* A sort key: twice the horizontal distance of a lattice column from the middle, by the larger
- * axis, then by the other; the floor first. */
+/* Returns a sort key: twice the horizontal distance of a lattice column from the middle, by the
+ * larger axis, then by the other; the floor first. */
 static int input_key(int mass)
 {
   const int x = mass / (SIDE_Y * SIDE_Z) - SIDE_X / 2, y = mass / SIDE_Z % SIDE_Y - SIDE_Y / 2,

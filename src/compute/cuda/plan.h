@@ -110,8 +110,8 @@ struct mo_plan_split mo_plan_split_of(const struct mo_environment *environment,
 struct mo_plan_special mo_plan_special_of(const struct mo_environment *environment,
                                           const struct mo_physics *physics);
 
-/* Whether an environment needs the kernels for special rows: it has a task that is not plain, a
- * profile, or damage. All others compute only grids with a light that stands still. */
+/* Returns whether an environment needs the kernels for special rows: it has a task that is not
+ * plain, a profile, or damage. All others compute only grids with a light that stands still. */
 bool mo_environment_is_special(const struct mo_environment *environment);
 
 /* Writes the slots of the lattice's springs (1648). MO_ERR_NO_MEMORY. */

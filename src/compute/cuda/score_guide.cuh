@@ -48,7 +48,7 @@ __device__ __forceinline__ void place_light(const mo_course &course, double t_s,
   light.z = (float)light_m[2];
 }
 
-/* After begin_group, which has placed the rows. */
+/* Begins the tasks, after begin_group, which has placed the rows. */
 __device__ __noinline__ void begin_tasks(const mo_cuda_tasks &k)
 {
   const Guided own = guided_row(k);
@@ -79,7 +79,8 @@ __device__ __forceinline__ void advance(const mo_course &course, double t_s,
   }
 }
 
-/* At the start of a control period other than the first. The masses are where the step starts. */
+/* Advances the tasks at the start of a control period other than the first. The masses are where
+ * the step starts. */
 __device__ __noinline__ void guide_rows(const mo_cuda_tasks &k, uint32_t step)
 {
   Shared &shared = shared_of_block();
@@ -104,7 +105,7 @@ __device__ __noinline__ void guide_rows(const mo_cuda_tasks &k, uint32_t step)
   __syncthreads();
 }
 
-/* After end_group, which writes the centers of mass at the end. */
+/* Ends the tasks, after end_group, which writes the centers of mass at the end. */
 __device__ __noinline__ void end_tasks(const mo_cuda_tasks &k)
 {
   __syncthreads();

@@ -24,8 +24,8 @@ __device__ __forceinline__ Item item_of(const Part &part, uint32_t chunk, uint32
   return item;
 }
 
-/* A block's own global memory bypasses the first-level cache, which is left to links and
- * terrain. */
+/* Loads a velocity: a block's own global memory bypasses the first-level cache, which is left to
+ * links and terrain. */
 __device__ __forceinline__ float3 load_velocity(const float *v)
 {
   return make_float3(__ldcg(v), __ldcg(v + 1), __ldcg(v + 2));
@@ -116,8 +116,8 @@ __device__ __forceinline__ void load_links(const uint32_t *links, const Part &pa
     quad[i] = __ldg(quads + min(i, last));
 }
 
-/* With `split`, a step reads the velocities that the previous step wrote, and writes its own to
- * another buffer, so that contact can compute what the springs added. In a step with new outputs,
+/* With `split`, a step reads the velocities that the previous step wrote, and writes its own to a
+ * different buffer, so that contact can compute what the springs added. In a step with new outputs,
  * the springs pull with the mean of the old and the new lengths. Since the pull is linear in the
  * length, one half is added with the old lengths, and the other half with the new ones. */
 struct Pull {
@@ -126,7 +126,7 @@ struct Pull {
   bool coasts; /* drag and gravity act on them first */
 };
 
-/* Which springs of a row exert no force in a step, as pull_four. */
+/* Returns which springs of a row exert no force in a step, as pull_four. */
 __device__ __forceinline__ uint32_t cut_of(const Shared &shared, uint32_t row, uint32_t step)
 {
   const mo_plan_special &of = shared.environments[row]->special;
@@ -201,7 +201,7 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
   }
 }
 
-/* Contact with `split`; before: the velocity at the end of the previous step. */
+/* Moves a mass that strikes, with `split`. before: the velocity at the end of the previous step. */
 __device__ __forceinline__ void move_split(const lane_physics &k, const mo_plan_environment &in,
                                            const lane_terrain &terrain, const float4 &kick,
                                            const float3 &before, float (&p)[3], float (&v)[3])

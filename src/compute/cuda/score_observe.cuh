@@ -1,6 +1,6 @@
 /* score_observe.cuh: what is observed of rows that are measured (observe.h).
  *
- * At the start of each control period, when the new lengths are known, one warp per row looks at
+ * At the start of each control period, when the new lengths are known, one warp per row observes
  * poses, springs and voxels: lanes take masses and voxels in turn, and their float32 sums are added
  * in a fixed order. Contacts are counted where masses move, for the step in the upper bits of the
  * row's `insane`: the kernel has no shared memory to spare, and integers have the same sum in any
@@ -174,7 +174,7 @@ __device__ __noinline__ void begin_measures(const mo_cuda_tasks &tasks, const mo
   __syncthreads();
 }
 
-/* At the start of a control period. */
+/* Observes the rows at the start of a control period. */
 __device__ __noinline__ void observe_rows(const mo_cuda_tasks &tasks, const mo_cuda_measures &k,
                                           uint32_t step)
 {
@@ -209,7 +209,7 @@ __device__ __noinline__ void observe_rows(const mo_cuda_tasks &tasks, const mo_c
   }
 }
 
-/* After end_group. */
+/* Ends the measures, after end_group. */
 __device__ __noinline__ void end_measures(const mo_cuda_tasks &tasks, const mo_cuda_measures &k)
 {
   const Shared &shared = shared_of_block();
@@ -246,7 +246,7 @@ struct Measured : Tasks {
     Tasks::begin();
     begin_measures(k, m);
   }
-  /* Before the network overwrites them. */
+  /* Keeps the lengths before the network overwrites them. */
   __device__ __forceinline__ void keep_lengths(const Memory &memory, uint32_t step) const
   {
     float *lengths = m.lengths + (size_t)blockIdx.x * m.max_lengths;
