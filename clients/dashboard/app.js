@@ -89,7 +89,8 @@ export const app = {
   recent: [],
   /** Called with the theme after each change. */
   themeListeners: new Set(),
-  /** The contract: bounds and defaults of the forms. Loaded once, when first needed. */
+  /** Returns the contract: bounds and defaults of the forms. It is loaded once, when first
+   * needed. */
   contract() {
     this.contractLoad ??= getJson('openapi.json');
     return this.contractLoad;
@@ -110,7 +111,7 @@ export const app = {
     const text = all.toString();
     history.replaceState(history.state, '', `#/${path}${text ? `?${text}` : ''}`);
   },
-  /** The state that the view saved with this history entry; {} for a new entry. */
+  /** Returns the state that the view saved with this history entry; {} for a new entry. */
   remembered() {
     return history.state ?? {};
   },

@@ -86,8 +86,7 @@ int mo_store_clean(struct mo_store *store,
 int mo_store_accept_clock(struct mo_store *store);
 /* Returns a random number chosen when the database was created: unique to this store. */
 uint64_t mo_store_id(const struct mo_store *store);
-/* Returns a random number for this history; a restored backup, a copy or a crash starts a new
- * one. */
+/* Returns the random number of this history: a restored backup, copy or crash starts a new one. */
 uint64_t mo_store_history(const struct mo_store *store);
 /* Returns the number of times the store was opened: unique to this opening. */
 uint64_t mo_store_epoch(const struct mo_store *store);

@@ -43,7 +43,7 @@ class Arrays {
   }
 }
 
-/** The frames of a film: at least `rate` per second, and no more than needed. */
+/** Chooses the frames of a film: at least `rate` per second, and no more than needed. */
 function chooseFrames(robot, rate) {
   const every = Math.max(1, Math.floor(1 / (rate * robot.frameS) + 1e-6));
   const frames = [];

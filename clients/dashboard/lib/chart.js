@@ -158,12 +158,12 @@ export class Chart {
     return !this.group.hidden.has(`${this.options.key}.${s.of ?? s.name}`);
   }
 
-  /** The shown series. */
+  /** Returns the shown series. */
   #shown() {
     return this.series.filter((s) => this.#isShown(s));
   }
 
-  /** The series whose values the cursor goes to. @returns {any} */
+  /** Returns the series whose values the cursor moves along. @returns {any} */
   #main() {
     return this.#shown().find((s) => !s.silent && s.x.length);
   }

@@ -58,7 +58,7 @@ const SELECTIONS = {
   'age-layered': { layers: 4, age_gap: 5 },
 };
 
-/** Of an evaluation; null where a request has nothing. */
+/** Returns the settings of an evaluation; null where a request has nothing. */
 export const usualEvaluation = (job, preset, periodS) => ({
   environments: 'paper-test', precision: 'float32', record: [], verify: false, best: null,
   measures: null, tolerance: null, displaced_starts: null, record_stride: 10,

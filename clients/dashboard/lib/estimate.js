@@ -21,7 +21,8 @@ const DEVICE_ROLLOUTS = 1000;
 const springsOf = ({ voxels, id = voxels }) => 24 * [...id.split('@')[0]].reduce((n, digit) =>
   n + Number('0112122312232334'[parseInt(digit, 16)] ?? 0), 0) ** 0.85 || RANDOM;
 
-/** The time of rollouts is proportional to this; a CPU takes two more for each block. */
+/** Returns a number that the time of rollouts is proportional to; for a CPU, each block adds
+ * two. */
 const sizeOf = ({ rollouts, blocks, springs, steps }, device) =>
   (rollouts + (device === 'cpu' ? 2 * blocks : 0)) * steps * (260 + springs);
 

@@ -23,12 +23,12 @@ export class History {
   constructor() {
     const { past, body, future } = stored();
     this.past = past;
-    /** The body now; null before the first. @type {string|null} */
+    /** The current body; null before the first. @type {string|null} */
     this.body = body;
     this.future = future;
   }
 
-  /** A new body comes after the one now; what was undone is dropped. */
+  /** Adds a body after the current one; what was undone is dropped. */
   push(body) {
     if (body === this.body) return;
     if (this.body) this.past.push(this.body);

@@ -9,16 +9,16 @@ import {
 } from './defaults.js';
 import { count, countOf } from './format.js';
 
-/** Members that only one kind has: a list of jobs has them in a member of that name. */
+/** Returns the members that only one kind has: a list of jobs has them in a member of that name. */
 export const partOf = (job) => job[job.kind] ?? job;
 
-/** The progress of a job; lists have it in a short form. */
+/** Returns the progress of a job; lists have it in a short form. */
 const progressIn = (job) => job.progress ?? { under_way: null, total: 0, ...partOf(job) };
 
 /** What a campaign does within a generation, by its phase, and what is counted. */
 const WITHIN = { learning: 'steps learned', scoring: 'designs scored' };
 
-/** The progress of a job that counts what is done. */
+/** Describes the progress of a job that counts what is done. */
 const counted = (done, total, what, secondsLeft) => ({
   share: total ? done / total : 0, text: `${count(done)} of ${count(total)} ${what}`, secondsLeft,
 });

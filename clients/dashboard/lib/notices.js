@@ -10,7 +10,7 @@ let kept = [];
 /** The last message, which more runs join while it stands. */
 let notice = '';
 
-/** The ids of the runs. @returns {string[]} */
+/** Returns the ids of the runs. @returns {string[]} */
 const wanted = () => storing(() => JSON.parse(localStorage.getItem(KEY))) ?? kept;
 
 /** Adds or removes a run; returns whether it was there. */

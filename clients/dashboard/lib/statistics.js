@@ -4,7 +4,7 @@
 
 export const CONFIDENCE = 0.95;
 
-/** Natural logarithm of the gamma function, for x > 0: Lanczos approximation. */
+/** Returns the natural logarithm of the gamma function, for x > 0: Lanczos approximation. */
 function logGamma(x) {
   const terms = [76.18009172947146, -86.50532032941677, 24.01409824083091, -1.231739572450155,
     0.1208650973866179e-2, -0.5395239384953e-5];
@@ -14,8 +14,8 @@ function logGamma(x) {
 }
 
 /**
- * The continued fraction of the incomplete beta function I_x(a, b), for x below
- * (a + 1)/(a + b + 2).
+ * Returns the continued fraction of the incomplete beta function I_x(a, b), for x below (a + 1)/(a
+ * + b + 2).
  */
 function betaFraction(a, b, x) {
   const away = (value) => (Math.abs(value) < 1e-300 ? 1e-300 : value);

@@ -19,7 +19,7 @@ const PARTS = 24;
 const go = ([x, y], angle, lengthM) =>
   [x + lengthM * Math.cos(angle), y + lengthM * Math.sin(angle)];
 
-/** A walk in a direction that may turn, and the light ahead of it. */
+/** Returns a walk in a direction that may turn, and the light ahead of it. */
 function led({ heading_rad: heading = 0, turn_rad_per_s: turn = 0 }) {
   const way = [START_M];
   const angle = (part) => heading + (4 * turn * part) / PARTS;
@@ -27,7 +27,7 @@ function led({ heading_rad: heading = 0, turn_rad_per_s: turn = 0 }) {
   return { way, lamp: go(way[PARTS], angle(PARTS), 0.5) };
 }
 
-/** The light's own motion: on a line, or around a center. */
+/** Returns the light's own motion: on a line, or around a center. */
 function moved({ light_xy_m: lamp, velocity_m_per_s: [dx, dy] = [0, 0], turn_rad_per_s: turn,
   center_m: [cx, cy] = START_M }) {
   const [x, y] = lamp;
@@ -48,7 +48,7 @@ function followed({ points_m: points }) {
 
 const SHAPES = { ahead: led, turning: led, path: followed, moving: moved };
 
-/** Heights along x: as given, or waves as rough as a random grid. */
+/** Returns heights along x: as given, or waves as rough as a random grid. */
 function profileOf({ terrain, terrain_heights_m: grid, terrain_sigma_m: sigma = 0 }) {
   const heights = terrain?.heights_m ?? grid?.flat().slice(24, 32) ??
     Array.from({ length: 33 }, (_, i) => sigma * (Math.sin(i * 0.7) + Math.sin(i * 1.9)));

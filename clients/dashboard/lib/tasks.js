@@ -59,7 +59,7 @@ export const pointsText = (points) => points.map((point) => point.join('_')).joi
 
 const DRAWN = 'drawn:';
 
-/** The task to follow a path of the user's. @param {number[][]} points */
+/** Returns the task of following a path that the user drew. @param {number[][]} points */
 export const drawnTask = (points) => ({
   name: DRAWN + pointsText(points), title: 'Your path', points,
   about: `Follow your ${countOf(points.length, 'way-point')}`,
@@ -156,7 +156,7 @@ export const resultOf = ({ value = null, unit, loss, driven }) => {
   return unit === 'm/kJ' && value !== null ? `${value.toFixed(3)} m/kJ` : score(loss);
 };
 
-/** Which scores in a unit of `resultOf` are better. */
+/** Returns which scores in a unit of `resultOf` are better. */
 export const betterOf = (unit) => (unit === 'm' || unit === 'm/kJ' ? '↑ higher is better'
   : '↓ lower is better');
 

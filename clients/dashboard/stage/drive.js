@@ -84,13 +84,13 @@ export class Drive {
     return this.first + this.windows.length;
   }
 
-  /** Number of the window that plays now. */
+  /** Number of the window that is playing. */
   get current() {
     return Math.max(this.first, Math.min(Math.floor(this.timeS / this.windowS + 1e-9),
       this.end - 1));
   }
 
-  /** How many windows a request is for. */
+  /** Number of windows per request. */
   get perRequest() {
     const needed = Math.ceil(SPARE * this.replyMs * this.speed / (1000 * this.windowS));
     return Math.max(1, Math.min(WINDOWS_MAX, needed));
@@ -104,7 +104,7 @@ export class Drive {
     this.#pump();
   }
 
-  /** Lets the time run; called for each picture, and by a timer if pictures take long. */
+  /** Advances the time; called for each picture, and by a timer if pictures take long. */
   tick() {
     const now = this.now();
     const elapsedS = this.beforeMs === undefined ? 0 : (now - this.beforeMs) / 1000;
@@ -123,7 +123,8 @@ export class Drive {
     this.#pump();
   }
 
-  /** The time does not run on while it is not watched, as in a hidden tab. */
+  /** Skips time in which the page is not watched, as in a hidden tab: the drive does not
+   * advance. */
   skip() {
     this.beforeMs = undefined;
   }
@@ -189,7 +190,8 @@ export class Drive {
     this.#request(at, at < this.end || !isNew);
   }
 
-  /** The first window that can still be replaced before it plays, from a state that is known. */
+  /** Returns the first window that can still be replaced before it plays, from a state that is
+   * known. */
   #branch() {
     const passedMs = this.now() - (this.beforeMs ?? this.now());
     const readyS = this.timeS + (passedMs + this.replyMs + MARGIN_MS) / 1000 * this.speed;

@@ -106,7 +106,7 @@ export function isSoftware() {
   return software;
 }
 
-/** A texture of numbers, read by texelFetch. */
+/** Creates a texture of numbers, read by texelFetch. */
 export function dataTexture(gl, internal, width, height, format, type, data) {
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -142,7 +142,7 @@ export function vertexArray(gl, data, attributes) {
   return { array, buffer, free: () => { gl.deleteVertexArray(array); gl.deleteBuffer(buffer); } };
 }
 
-/** A map of depths as seen from the sun. */
+/** Creates a map of depths as seen from the sun. */
 export function shadowTarget(gl, size) {
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);

@@ -44,7 +44,7 @@ export function lampOf(robot, frame, isInLane = false) {
   return [x, y, heightAt(world, x, y) + LAMP_M];
 }
 
-/** The robots that have lanes: if there are too many, those with the best scores. */
+/** Returns the robots that have lanes: if there are too many, those with the best scores. */
 function chosen(robots, max) {
   if (robots.length <= max) return robots;
   const better = (a, b) => (a.loss ?? Infinity) - (b.loss ?? Infinity) || 0;
@@ -113,7 +113,7 @@ export function lanesOf(all, max, areGhosts = false) {
 const HALF_M = Math.tan((19 * Math.PI) / 180);
 /** Pitches to try for a race; the one that shows the ground largest is used. */
 const PITCHES = [1.15, 0.9, 0.6];
-/** How large the ground of the lanes is in a picture. */
+/** Returns how large the ground of the lanes is in a picture. */
 const sizeIn = ({ pitch, distanceM }) => Math.sin(pitch) / distanceM ** 2;
 
 /**

@@ -10,7 +10,7 @@ export function perspective(fovY, aspect, near, far) {
   );
 }
 
-/** A view of a box: half the width and height in meters. */
+/** Returns the matrix of a view of a box: half the width and height in meters. */
 export function orthographic(halfWidth, halfHeight, near, far) {
   return Float32Array.of(
     1 / halfWidth, 0, 0, 0,

@@ -197,7 +197,7 @@ export class Player {
     this.onchange();
   }
 
-  /** In a race, the camera frames all lanes; apart, it goes back to where it was. */
+  /** Points the camera: in a race, it frames all lanes; otherwise, it goes back to where it was. */
   #arrange() {
     const { stage, stage: { camera } } = this;
     const lanes = stage.lanes();
@@ -266,7 +266,7 @@ export class Player {
     }
   }
 
-  /** Among ghosts, a robot that is pointed at is opaque. */
+  /** Marks the robot that is pointed at; among ghosts, it is opaque. */
   #point(robot) {
     if (this.stage.hovered === robot) return;
     this.stage.hovered = robot;
@@ -366,7 +366,7 @@ export class Player {
     this.#cover();
   }
 
-  /** Lanes are not drawn behind the list. */
+  /** Measures the list, because lanes are not drawn behind it. */
   #cover() {
     const { names, canvas } = this;
     const isOver = !names.hidden && getComputedStyle(names).position === 'absolute';
@@ -397,7 +397,7 @@ export class Player {
     say(this.coming, `${n} of ${of} robots`);
   }
 
-  /** Whether a race waits for its robots. */
+  /** Returns whether a race waits for its robots. */
   #waits() {
     return Boolean(this.isComing && !this.isEarly && this.stage?.lanes());
   }

@@ -14,7 +14,7 @@ export function centerOfMass(robot, frame) {
   });
 }
 
-/** Measured once: every picture needs them several times. */
+/** Returns the centers of mass, measured once: every picture needs them several times. */
 function centersOf(robot) {
   if (!robot.centers) {
     robot.centers = new Float32Array(rowsOf(robot) * 3);
@@ -33,10 +33,11 @@ function measureCenters({ track, body: { nMasses: n }, centers }, from, to) {
   }
 }
 
-/** Frames that there is room for: more than there are while a robot is driven. */
+/** Returns the number of frames that there is room for: more than there are while a robot is
+ * driven. */
 const rowsOf = ({ track, body }) => track.length / (3 * body.nMasses);
 
-/** What the graphics processor needs for one robot. */
+/** Uploads what the graphics processor needs for one robot. */
 export function upload(gl, robot) {
   const { body, track, actuation, contacts } = robot;
   const rows = rowsOf(robot);
@@ -101,7 +102,7 @@ export function uploadFrames(gl, robot, from, to) {
   gpu.trail = trailOf(gl, robot);
 }
 
-/** A ribbon along the path of the center of mass: two vertices per frame. */
+/** Creates a ribbon along the path of the center of mass: two vertices per frame. */
 function trailOf(gl, robot) {
   const every = Math.max(1, Math.floor(robot.frames / 250));
   const points = [];

@@ -75,7 +75,7 @@ function sunOf(world) {
   return normalize([-0.7 * Math.sin(turn), -0.7 * Math.cos(turn), 1]);
 }
 
-/** A mesh of `cells` × `rows` cells over the square from -1 to 1. */
+/** Creates a mesh of `cells` × `rows` cells over the square from -1 to 1. */
 function groundMesh(gl, cells, rows = cells) {
   const corners = new Float32Array((cells + 1) * (rows + 1) * 2);
   const triangles = new Uint32Array(cells * rows * 6);
@@ -228,7 +228,8 @@ export class Stage {
     this.followed = Math.min(this.followed, Math.max(0, robots.length - 1));
   }
 
-  /** The lanes, if this is a race; robots that are driven share one light, so they have none. */
+  /** Returns the lanes, if this is a race; robots that are driven share one light, so they have
+   * none. */
   lanes() {
     const { robots } = this;
     if (this.sideBySide || robots.length < 2 || robots.some((robot) => robot.driven)) return null;
@@ -257,7 +258,7 @@ export class Stage {
       centerOfMass(robot, this.frameOf(robot)).map((value, axis) => value + shift[axis]);
   }
 
-  /** Length of the longest recording, in seconds. */
+  /** Returns the length of the longest recording, in seconds. */
   durationS() {
     return Math.max(0, ...this.robots.map((robot) => (robot.frames - 1) * robot.frameS));
   }
@@ -464,7 +465,7 @@ export class Stage {
     });
   }
 
-  /** Where the light of a robot is drawn now. */
+  /** Returns where the light of a robot is drawn now. */
   #lightOf(robot, world) {
     return robot ? lampOf(robot, this.frameOf(robot), Boolean(this.lanes()?.lane))
       : [...world.light, heightAt(world, world.light[0], world.light[1]) + 0.06];
@@ -500,7 +501,7 @@ export class Stage {
     return sunMatrix;
   }
 
-  /** Robots that are seen through, and do not hide each other: only what is behind other things is
+  /** Draws translucent robots, which do not hide each other: only what is behind other things is
    * fainter. */
   #drawGhosts(robots, shared) {
     const { gl } = this;

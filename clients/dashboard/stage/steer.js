@@ -105,7 +105,7 @@ export class Steering {
       Boolean(this.held ?? this.#under(event.offsetX, event.offsetY, event)));
   }
 
-  /** The pointer of onPointers: holds the light, if it is there. */
+  /** Handles a pointer of onPointers: holds the light, if it is there. */
   grab(x, y, event) {
     if (event.button > 0 || event.shiftKey) return null;
     const place = this.#under(x, y, event);
@@ -122,7 +122,7 @@ export class Steering {
     };
   }
 
-  /** The light goes to a place on the ground that was clicked. */
+  /** Moves the light to a place on the ground that was clicked. */
   click(x, y) {
     const place = this.stage.pointAt(x, y, this.#lamp()[2] - LAMP_M);
     if (place) this.move(place);

@@ -87,7 +87,7 @@ export class Tags {
   }
 }
 
-/** Whether names would cover other lanes. */
+/** Returns whether names would cover other lanes. */
 function isNarrow({ canvas: { clientWidth: width, clientHeight: height }, camera }, { shifts }) {
   const matrix = camera.matrix(width, height);
   const [from, to] = [...shifts.values()].map((shift) =>

@@ -34,7 +34,7 @@ async function controllerOf(job) {
   return isSame ? file.name : `sha256:${file.sha256}`;
 }
 
-/** The founders of a campaign that were listed in its request. */
+/** Returns the founders of a campaign that were listed in its request. */
 async function foundersOf(job) {
   const first = await listOf(getJson, `${pathOf(job)}/population`, { generation: 0 });
   return first.filter(({ operator }) => operator === 'listed')

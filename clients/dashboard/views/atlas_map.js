@@ -139,7 +139,7 @@ export class AtlasMap {
     return this.left + this.share(value) * (width - this.left - RIGHT_PX);
   }
 
-  /** The smallest bodies are in the lowest row. */
+  /** Returns the y of a row; the smallest bodies are in the lowest row. */
   #y(row) {
     return TOP_PX + (this.rows - 1 - row) * ROW_PX;
   }
@@ -246,7 +246,8 @@ export class AtlasMap {
     this.select(this.selected.row, this.anchor, bin);
   }
 
-  /** A click close to bodies means them: a single bin is narrow. */
+  /** Returns the bin that a click means: the nearest one with bodies, because a single bin is
+   * narrow. */
   #nearest(row, bin) {
     const counts = this.counts[row];
     for (let away = 0; away <= 3; away++) {

@@ -23,7 +23,7 @@ const CHANGES = 8;
 const shareOf = (percentile) => `${(Math.floor(percentile * 100) / 100)
   .toFixed(percentile >= 99 || percentile < 1 ? 2 : 1)} %`;
 
-/** What makes tasks differ: not their headings, which vary from world to world. */
+/** Returns what makes tasks differ: not their headings, which vary from world to world. */
 const kindOfTask = ({ objective, guide }) => JSON.stringify([objective, guide.kind,
   guide.points_m]);
 
@@ -72,7 +72,7 @@ export class AtlasPage {
       this.map.element, this.optima.element, this.compare?.element);
   }
 
-  /** The body that is drawn. */
+  /** The body as drawn. */
   get body() {
     return this.draw.body;
   }
@@ -102,7 +102,7 @@ export class AtlasPage {
       h('div.row', {}, h('h2', {}, title), words), children);
   }
 
-  /** The best body of each size: the shortest way to a good one. */
+  /** Shows the best body of each size: the shortest way to a good one. */
   #sizes() {
     const cards = this.about.sizes.map((size) => this.card(size.best, {
       title: voxels(size.voxels),
@@ -229,7 +229,7 @@ export class AtlasPage {
   }
 }
 
-/** The body in the link; without one, a body from which there is somewhere to go. */
+/** Returns the body in the link; without one, a body from which there is somewhere to go. */
 export function startOf(parameters, about) {
   const text = parameters.get('voxels');
   if (text && isBody(text)) return text;

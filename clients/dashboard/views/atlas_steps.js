@@ -28,7 +28,7 @@ export class AtlasSteps {
       page.section('The way up', this.wayWords, this.way)];
   }
 
-  /** The body is not in the atlas. */
+  /** Shows nothing, because the body is not in the atlas. */
   clear() {
     for (const list of [this.changes, this.way]) patch(list, [], () => 0, () => null);
     for (const words of [this.changesWords, this.wayWords]) say(words, '');

@@ -90,7 +90,7 @@ export class CampaignCurves {
     this.#show();
   }
 
-  /** The comparison is over replicates, which have only generations in common. */
+  /** Places the comparison, which is over replicates, which have only generations in common. */
   #placeCompared() {
     const group = this.axis === AXES[0] ? this.group : new ChartGroup();
     this.compared?.chart.join(group, 'compared').update();

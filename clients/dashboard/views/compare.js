@@ -82,7 +82,7 @@ export async function mount(main, path, parameters, app) {
   return { unmount: () => stop.abort() };
 }
 
-/** The robots in a link. @param {URLSearchParams} parameters */
+/** Returns the robots in a link. @param {URLSearchParams} parameters */
 function robotsIn(parameters) {
   const robots = (parameters.get('designs') ?? '').split(',').filter(Boolean);
   const wrong = robots.find((one) => !/^[0-9a-f]{36}@[0-7]$/.test(one));

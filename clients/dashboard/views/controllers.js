@@ -59,7 +59,7 @@ export async function mount(main, path, parameters, app) {
   };
 }
 
-/** How often a controller computes its outputs. */
+/** Describes how often a controller computes its outputs. */
 function periodOf({ control_period_s: period }) {
   return period ? `every ${number(1000 * period)} ms` : 'every step';
 }

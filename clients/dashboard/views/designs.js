@@ -102,7 +102,8 @@ async function mountDesign(main, id, app) {
   const design = await getJson(`v1/designs/${encodeURIComponent(id)}`);
   const name = design.id + (/@[0-7]$/.exec(id)?.[0] ?? ''); // from the link: a robot, or an id
   const player = new Player(app, { height: 420 });
-  /** The design as a robot for the tray, in the orientation of the link, or else the best one. */
+  /** Returns the design as a robot for the tray, in the orientation of the link, or else the best
+   * one. */
   const kept = () => {
     const robot = name.includes('@') ? name : design.orientations[0]?.robot ?? `${name}@0`;
     return { robot, genotype: genotypeOfId(robot) };

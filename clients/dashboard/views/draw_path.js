@@ -72,7 +72,7 @@ export function pathPad(app, points, onchange, canRemove = false) {
     startDialog(app, 'campaign', {}, {}, { world: drawnTask(points) })),
   { hidden: !may('submit') });
 
-  /** A click adds a way-point; a longer stroke is a new path. */
+  /** Ends a stroke: a click adds a way-point; a longer stroke is a new path. */
   function end() {
     const [, [x, y]] = stroke;
     const isClick = stroke.slice(1).every((at) => Math.hypot(at[0] - x, at[1] - y) < CLICK_M);

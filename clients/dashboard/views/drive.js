@@ -20,7 +20,7 @@ const QUIET_MS = 700;
 /** The camera of a drive: high and far enough to see both the robot and its light. */
 const [PITCH, DISTANCE_M] = [0.62, 3.4];
 
-/** How many seconds of these robots are kept. */
+/** Returns how many seconds of these robots are kept. */
 function keptS(robots, frameS) {
   const bytes = robots.reduce((sum, { body }) => sum + 13 * body.nMasses + body.nSprings, 0);
   return Math.max(2, Math.min(KEEP_S, Math.floor((KEEP_BYTES * frameS) / bytes)));
@@ -84,7 +84,7 @@ export class Driving {
     player.canvas.focus();
   }
 
-  /** Other robots start to follow the same light. */
+  /** Lets different robots start to follow the same light. */
   restart(robots) {
     if (!robots.length || robots.length > ROBOTS_MAX) {
       this.leave();
@@ -167,7 +167,7 @@ export class Driving {
       `Light at x ${place[0].toFixed(1)}, y ${place[1].toFixed(1)} meters`), QUIET_MS);
   }
 
-  /** For each picture. */
+  /** Called for each picture. */
   tick() {
     const now = performance.now();
     this.steering.tick((now - (this.beforeMs ?? now)) / 1000);

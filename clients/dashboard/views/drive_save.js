@@ -31,7 +31,8 @@ export function saveDialog(driving) {
   dialog.addEventListener('close', () => driving.resume());
 }
 
-/** The path of the light as a task that any robot can be scored on: with each controller. */
+/** Returns the path of the light as a task that any robot can be scored on, with each
+ * controller. */
 function taskSection({ drive, player }, how) {
   const { environment, number, world, set, physics, precision } = how;
   const points = pathOf(drive);

@@ -60,7 +60,7 @@ export class LearnedOn {
     return this.isAsked && this.choice.value === 'population';
   }
 
-  /** The part of the request that is known without asking the service. */
+  /** Returns the part of the request that is known without asking the service. */
   known() {
     return this.isAsked && this.choice.value === 'designs'
       ? { designs: designsIn(this.designs.value) } : {};

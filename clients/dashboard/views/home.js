@@ -41,7 +41,7 @@ export async function mount(main, path, parameters, app) {
   const get = (url) => getJson(url, { signal });
   const { task } = app;
   const isPhoto = task === TASKS[0];
-  /** The best in this task, or else those that reach the light: {items, isOwn}. */
+  /** Lists the best robots in this task, or else those that reach the light: {items, isOwn}. */
   async function listBest(limit) {
     const list = async (environments) =>
       (await get(withQuery('v1/designs', { sort: 'score', limit, environments }))).items;
@@ -198,8 +198,8 @@ export async function mount(main, path, parameters, app) {
   };
 }
 
-/** The door to evolution: the form of a small campaign, or, for users who may only look, the
- * campaigns. */
+/** Returns the way to start evolution: the form of a small campaign, or, for users who may only
+ * look, the campaigns. */
 function evolveDoor(app) {
   const inside = (text) => [h('strong', {}, 'Evolve'), h('span', {}, text)];
   if (!may('submit')) {

@@ -24,7 +24,7 @@ export function emptyText(n, diverged, otherwise) {
 /** Returns a chip with the state, for a row that is rebuilt when it differs. */
 export const stateChip = (job) => h(`span.state.${job.state}`, {}, stateOf(job));
 
-/** A progress bar with its text, updated in place. */
+/** Creates a progress bar with its text, updated in place. */
 function progressMeter() {
   const bar = h('progress', { max: 1 });
   const said = h('div.muted.number');
@@ -93,7 +93,7 @@ export class JobParts {
     this.changed();
   }
 
-  /** The weight of a job compared with others: twice the weight gets twice the time. */
+  /** Sets the weight of the job relative to others: twice the weight gets twice the time. */
   async #weigh() {
     const weight = Number(this.weight.value);
     const isDone = await announced(() => post(`v1/jobs/${this.job.id}/weight`, { weight }),

@@ -39,7 +39,7 @@ export function showKeys() {
 const robotItem = (robot, from) =>
   ({ name: nameOf(robot), about: `${from}, ${robot}`, href: `#/designs/${robot}` });
 
-/** Everything that can be jumped to, as far as it can be loaded. */
+/** Loads everything that can be jumped to, as far as it can be loaded. */
 async function find() {
   const list = (path) => getJson(path).then(({ items }) => items, () => []);
   const [jobs, designs] = await Promise.all([list(`v1/jobs?limit=${RUNS}`),
@@ -99,7 +99,7 @@ export function jump(pages) {
     else input.removeAttribute('aria-activedescendant');
   }
 
-  /** All words must occur; a name that begins with the text comes first. */
+  /** Searches: all words must occur; a name that begins with the text comes first. */
   function search() {
     const text = input.value.trim().toLowerCase();
     const words = text.split(/\s+/);

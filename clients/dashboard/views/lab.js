@@ -145,7 +145,7 @@ export async function mount(main, path, parameters, app) {
     addToTray([{ genotype, robot: robotOf(genotype), note: walk.score }]);
   }
 
-  /** A body of the tray is needed to cross with. */
+  /** Offers crossing if the tray has a body to cross with. */
   const offer = () => { crossing.disabled = tray.kept.length === 0; };
 
   function importBody() {
@@ -159,7 +159,7 @@ export async function mount(main, path, parameters, app) {
       h('div.stack.wide', {}, text));
   }
 
-  /** The same evaluation from a shell or a program. */
+  /** Returns the same evaluation as commands for a shell or a program. */
   function commands() {
     const { set, environments } = app.task;
     const words = set === 'paper-test' ? '' : ` --environments ${set ?? '-'}`;
@@ -220,7 +220,7 @@ export async function mount(main, path, parameters, app) {
   };
 }
 
-/** The body in the link, or the last one here, or a small walker. */
+/** Returns the body in the link, or the last one here, or a small walker. */
 async function startBody(parameters, last) {
   const voxels = parameters.get('voxels');
   if (voxels !== null) {

@@ -64,7 +64,7 @@ export class Cells {
     }
   }
 
-  /** The cell that has the focus is the one that Tab comes back to. */
+  /** Marks the cell with the focus, so that Tab comes back to it. */
   #mark(element) {
     if (!element.dataset.cell) return;
     if (this.marked) this.marked.tabIndex = -1;
@@ -72,7 +72,8 @@ export class Cells {
     this.marked = element;
   }
 
-  /** The first cell decides whether the stroke sets or clears; the right button always clears. */
+  /** Begins a stroke. The first cell decides whether the stroke sets or clears; the right button
+   * always clears. */
   #begin(event) {
     const { target, button, pointerId, clientX, clientY } = event;
     if (!target.dataset.cell || this.stroke || (button !== 0 && button !== 2)) return;
@@ -108,7 +109,7 @@ export class Cells {
     this.edit.commit();
   }
 
-  /** Keys and screen readers click; the click that follows a stroke is part of it. */
+  /** Handles clicks by keys and screen readers; the click that follows a stroke is part of it. */
   #click({ target, detail }) {
     const isStroke = this.isPointers && detail > 0;
     this.isPointers = false;

@@ -48,7 +48,7 @@ export async function mount(main, path, parameters, app) {
     .filter(Boolean).join(', ');
   const numberCell = (name, text) => h('td.right', { 'data-name': name }, text);
 
-  /** This machine, which computes along with the others. */
+  /** Returns the row of this machine, which computes along with the others. */
   function ownRow(threads, devices, fleet) {
     const only = fleet.compute === 'fleet';
     return h('tr', {},

@@ -341,7 +341,7 @@ export async function mount(main, id, parameters, app) {
     offerNew();
   }
 
-  /** New generations are drawn on request, because the whole picture changes. */
+  /** Offers new generations: they are drawn on request, because the whole picture changes. */
   function offerNew() {
     fresh.hidden = newest <= shownTo;
     say(fresh, `${countOf(newest - shownTo, 'new generation')}: show`);
@@ -452,7 +452,7 @@ export async function mount(main, id, parameters, app) {
   };
 }
 
-/** Dragging moves, wheel and pinch zoom, and a click selects. */
+/** Handles input: dragging moves, wheel and pinch zoom, and a click selects. */
 function drive(canvas, view, choose) {
   const redraw = () => requestAnimationFrame(() => view.draw());
   onPointers(canvas, {

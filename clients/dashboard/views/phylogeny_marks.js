@@ -78,7 +78,8 @@ export class PhylogenyMarks {
     if (this.selected >= 0) this.#descent(context, color('--text'));
   }
 
-  /** The selected design and the lives of its first parents, each from its birth to its child's. */
+  /** Draws the selected design and the lives of its first parents, each from its birth to its
+   * child's. */
   #descent(context, color) {
     const { columns, layout: { y, parentRow } } = this.view;
     const place = (generation, row) => this.view.placeOf(generation, y[row]);

@@ -15,7 +15,7 @@ import { announced } from './share.js';
 const POLL_MS = 2000;
 const DASH_NAMES = ['dashed', 'dotted', 'dash and dot'];
 
-/** A job that is compared with this one, with a button to remove it. */
+/** Returns a chip for a job that is compared with this one, with a button to remove it. */
 function comparedChip(job, others, other, i, isDashed) {
   const rest = others.filter((one) => one !== other).join(',');
   const to = (id) => linkOf({ ...job, id });

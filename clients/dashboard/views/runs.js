@@ -21,7 +21,7 @@ const ARCHIVES = [['', 'not archived'], ['true', 'archived'], ['all', 'including
 const [FIRST, MORE] = [100, 1000];
 const POLL_MS = 2000;
 
-/** What the link requests. */
+/** Reads what the link requests. */
 function readLink(parameters) {
   const of = (name, choices) => {
     const value = parameters.get(name) ?? '';

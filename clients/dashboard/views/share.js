@@ -40,8 +40,8 @@ export function showDialog(title, ...children) {
 }
 
 /**
- * A dialog with a form that performs an action and closes. Enter submits it, the browser checks the
- * bounds of its fields, and the dialog shows errors.
+ * Opens a dialog with a form that performs an action and closes. Enter submits it, the browser
+ * checks the bounds of its fields, and the dialog shows errors.
  * @param {string} title
  * @param {string} action text of the button
  * @param {() => any} work

@@ -137,7 +137,7 @@ function checkView(parameters, { n, nRobots: count }) {
     'a camera as six numbers');
 }
 
-/** The world in a link: that of a job, or a set of environments, and a path of the light, if
+/** Loads the world in a link: that of a job, or a set of environments, and a path of the light, if
  * any. */
 async function worldIn(parameters, path = parameters.get('path')) {
   const world = await placesIn(parameters);
@@ -157,7 +157,7 @@ async function worldIn(parameters, path = parameters.get('path')) {
   };
 }
 
-/** The world that a link names. */
+/** Loads the world that a link names. */
 async function placesIn(parameters) {
   const name = parameters.get('world');
   if (!name) {
@@ -171,7 +171,7 @@ async function placesIn(parameters) {
   return worldOfJob(kind, await getJson(`v1/${kind}s/${id}`));
 }
 
-/** Designs that the daemon simulates for the stage: those in the link, or the best. */
+/** Loads the designs that the daemon simulates for the stage: those in the link, or the best. */
 async function rollouts(parameters) {
   let ids = designsOf(parameters.get('designs') ?? '');
   const [world, best] = await Promise.all([worldIn(parameters),
@@ -246,7 +246,7 @@ async function rollouts(parameters) {
   };
 }
 
-/** The recordings of some designs of an evaluation. */
+/** Loads the recordings of some designs of an evaluation. */
 async function recordings(parameters) {
   const id = parameters.get('evaluation');
   const path = `v1/evaluations/${encodeURIComponent(id)}`;
@@ -301,7 +301,7 @@ function designsOf(text) {
   return all;
 }
 
-/** A design in a link: a robot (ID@K), an id, or a genotype of 144 digits. */
+/** Returns a design in a link: a robot (ID@K), an id, or a genotype of 144 digits. */
 const designOf = (text) => (text.length === 144 ? { voxels: text } : { id: text });
 const spokenOf = (text) => nameOf(text.length === 144 ? robotOf(text) : text);
 
@@ -312,13 +312,13 @@ function labelOf(ids, i) {
   return isAlone ? name : `${i + 1}: ${name}`;
 }
 
-/** The body of a design in a request, for the tray. */
+/** Returns the body of a design in a request, for the tray. */
 function bodyIn({ id, voxels }) {
   const robot = id?.length === 36 ? `${id}@0` : id ?? robotOf(voxels);
   return { robot, genotype: voxels ?? genotypeOfId(robot) };
 }
 
-/** How to simulate the same from a shell or a program. */
+/** Returns how to simulate the same from a shell or a program. */
 function sameCommands(ids, how) {
   const { world: { set, environments, physics, precision }, environment, controller } = how;
   const { words, input } = filmOf(ids, how);

@@ -29,19 +29,20 @@ export class TaskChoice {
     }));
   }
 
-  /** Training runs learn on random terrains, except for tasks that need their own ground. */
+  /** Returns whether the terrain is random: training runs learn on random terrains, except for
+   * tasks that need their own ground. */
   #isRandom({ name }) {
     return this.kind === 'training' && name !== 'climb';
   }
 
-  /** The member of a request that asks for the task. */
+  /** The member of a request that selects the task. */
   get request() {
     const { environments } = this.chosen;
     return this.#isRandom(this.chosen) && environments ? { tasks: [environments[0].task] }
       : { environments };
   }
 
-  /** How many environments these are; undefined: the default set. */
+  /** The number of these environments; undefined: the default set. */
   get count() {
     return this.chosen.count ?? this.chosen.environments?.length;
   }
