@@ -414,7 +414,7 @@ class Frame {
     return this.following;
   }
 
-  /** Asks the service once who the caller is, and says what the page omits. */
+  /** Asks the service once who the caller is, and states what the page omits. */
   #identify() {
     this.identified ??= whoAmI().then(() => {
       this.caller.textContent = callerName();

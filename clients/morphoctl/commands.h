@@ -35,8 +35,8 @@ json_t *post_again(struct ctl *ctl, const char *path, const json_t *request);
 void say_orientations(const struct ctl *ctl, const json_t *designs);
 /* Returns the request of --random, --first and the option `seed`, kept; NULL without --random. */
 json_t *random_of(const struct ctl *ctl, const char *seed, int64_t most);
-/* Returns the designs of the operands from `first` on and those that the server draws for `random`
- * (nullable); those on standard input if there are neither. */
+/* Returns the designs of the operands, starting with `first`, and those that the server draws for
+ * `random` (nullable); those on standard input if there are neither. */
 struct designs given_designs(struct ctl *ctl, size_t first, const json_t *random);
 /* Posts a job with the key of --idempotency-key or a new one, so that it is safe to repeat. */
 json_t *post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s);

@@ -318,7 +318,7 @@ int complain_about_reply(const struct ctl *ctl, const struct reply *reply)
   }
 }
 
-/* Sends a request, and reports a reply with a status from 400 on. */
+/* Sends a request, and reports a reply with a status of 400 or above. */
 static int exchange(struct ctl *ctl, const struct request *request, struct reply *reply)
 {
   const int status = transport_try(ctl, request, reply);

@@ -175,8 +175,8 @@ uint64_t mo_atlas_ascend(const struct mo_atlas *atlas, uint64_t position, unsign
 
 /* ---- ranks ---- */
 
-/* All positions sorted by score, ties by lowest position, over all sizes and for each size. In
- * memory, 8 bytes per body. Const after it is made; does not outlive the atlas. */
+/* All positions sorted by score, ties by lowest position, over all sizes and for each size. Takes 8
+ * bytes of memory per body. Const after it is made; does not outlive the atlas. */
 struct mo_atlas_index;
 int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **index);
 /* The same by a measure of the file, the lowest first, or by its negative value, so that the
@@ -220,7 +220,7 @@ void mo_atlas_footprints(const struct mo_atlas *atlas,
 /* ---- basins ---- */
 
 /* Where steepest ascent by adding and removing voxels ends, for all bodies: computed once, in a few
- * seconds; in memory, 8 bytes per body. Const after it is made. */
+ * seconds. Takes 8 bytes of memory per body. Const after it is made. */
 struct mo_atlas_basins;
 /* cancel (nullable): set to stop (MO_ERR_CANCELLED). MO_ERR_NO_MEMORY. */
 int mo_atlas_basins_create(const struct mo_atlas *atlas, const struct mo_atlas_index *index,

@@ -28,7 +28,7 @@ extern "C" {
 #define MO_CERTIFICATE_WORLDS_MAX   256
 #define MO_CERTIFICATE_CHANCE_MAX   64
 #define MO_CERTIFICATE_LEVELS_MAX   8    /* factors of each constant */
-#define MO_CERTIFICATE_CHANCE       1e-4 /* largest relative change of the axis `chance` */
+#define MO_CERTIFICATE_CHANCE       1e-4 /* largest relative change on the axis `chance` */
 
 /* In a fixed order: new axes are appended. The levels of an axis are in brackets; an axis without
  * levels is one trial, with the level NaN. */
@@ -82,7 +82,7 @@ struct mo_trial {
   bool is_paired; /* world k is the base's world k % (its number of worlds), apart from the level */
   bool measures;  /* peak_strain and inverted_voxels of each rollout are requested: for the base */
 };
-/* What the trials are made of. */
+/* What the trials are built from. */
 struct mo_certificate_base {
   struct mo_physics physics; /* checked in all environments, and completed for the controller
                                 (mo_physics_complete) */
@@ -92,14 +92,14 @@ struct mo_certificate_base {
   const char *set; /* the word of mo_set_words if the environments are that set, unchanged; or
                       NULL */
 };
-/* The trials of a certificate, in order of axes and levels; the base is the first. Leaves out axes
- * and levels that do not apply (mo_certificate_omits, mo_certificate_note). The settings have been
- * checked. *trials: (n) malloc, owned by the caller. MO_ERR_NO_MEMORY. */
+/* Lists the trials of a certificate, in order of axes and levels; the base is the first. Leaves out
+ * axes and levels that do not apply (mo_certificate_omits, mo_certificate_note). The settings have
+ * been checked. *trials: (n) malloc, owned by the caller. MO_ERR_NO_MEMORY. */
 int mo_certificate_trials(const struct mo_certificate_settings *settings,
                           const struct mo_certificate_base *base, struct mo_trial **trials,
                           uint32_t *n);
-/* The environments of one trial: (trial->n_environments), filled in by this function; grids are
- * borrowed from the base. MO_ERR_NO_MEMORY.
+/* Fills in the environments of one trial: (trial->n_environments); grids are borrowed from the
+ * base. MO_ERR_NO_MEMORY.
  *
  * Held out, the worlds are, for the base
  *   "paper-test"       mo_environment_held_out: drawn as training draws them. Their lights are 0.4
@@ -197,13 +197,13 @@ uint32_t mo_certificate_top(const struct mo_certificate_settings *settings, uint
 #define MO_VERDICT_RANKS                                                                           \
   0.1 /* a rank that moves by at most this share of the designs, or by 1, is                       \
          roughly kept */
-#define MO_VERDICT_HOLDS  0.8 /* from this tau on, an order holds */
-#define MO_VERDICT_PARTLY 0.5 /* from this tau on, it holds in part */
+#define MO_VERDICT_HOLDS  0.8 /* with this tau or more, an order holds */
+#define MO_VERDICT_PARTLY 0.5 /* with this tau or more, it holds in part */
 
-/* About a design: flags; its rank and score on the finest steps, or in float64; how far luck moves
- * its score, and over which ranks; with which constants it is worse, the worst first; its score in
- * fresh worlds. Example: "Keeps its rank on finer steps (0.0086 to 0.0088). Its score goes from
- * 0.0086 to 0.34 when friction is 0.5 times as large." flags: of mo_measures_flags, over its
+/* Describes a design: flags; its rank and score on the finest steps, or in float64; how far luck
+ * moves its score, and over which ranks; with which constants it is worse, the worst first; its
+ * score in fresh worlds. Example: "Keeps its rank on finer steps (0.0086 to 0.0088). Its score goes
+ * from 0.0086 to 0.34 when friction is 0.5 times as large." flags: of mo_measures_flags, over its
  * rollouts at the base. */
 void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
                             const struct mo_trial_score *scores, uint32_t n_designs,

@@ -217,9 +217,9 @@ mo_training_robots_ahead(struct mo_training *training); /* the robots drawn ahea
  * makes about 30,000 per second. */
 void mo_training_set_threads(struct mo_training *training, uint32_t n_threads);
 
-/* Replaces the designs of a finetuning run, as a campaign does between steps: from the current step
- * on, the run trains on the new designs (copied; as in mo_training_create). Discards a drawn step.
- * MO_ERR_NO_MEMORY: nothing changed. */
+/* Replaces the designs of a finetuning run, as a campaign does between steps: starting with the
+ * current step, the run trains on the new designs (copied; as in mo_training_create). Discards a
+ * drawn step. MO_ERR_NO_MEMORY: nothing changed. */
 int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n);
 /* Makes a training run longer or shorter: n_steps ≥ the steps applied. Only a schedule that does
  * not depend on n_steps leaves the applied steps as they were; with other schedules it fails with
@@ -261,8 +261,8 @@ int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size
 int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **training,
                        struct mo_message *message);
 
-/* The code that computed a training's gradients from a step on. Their bits depend on it and on the
- * inputs. */
+/* The code that computed a training's gradients, starting with a step. Their bits depend on it and
+ * on the inputs. */
 #define MO_FINGERPRINT_BYTES 64
 #define MO_LINEAGE_MAX       32
 struct mo_training_code {

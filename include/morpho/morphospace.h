@@ -140,13 +140,13 @@ int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_w
 /* Draws one random body (paper, appendix A.1) from `random`. */
 int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, uint64_t *bits);
 
-/* Flips each voxel with probability `rate`, keeps the largest component, places it. MO_ERR_EMPTY if
- * nothing is left; MO_ERR_RANGE for a rate outside 0 … 1. */
+/* Flips each voxel with probability `rate`, keeps the largest component, and places it.
+ * MO_ERR_EMPTY if nothing is left; MO_ERR_RANGE for a rate outside 0 … 1. */
 int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, double rate,
                        struct mo_random *random, uint64_t *child);
 
-/* Computes the XOR of two parents, keeps the largest component, places it. MO_ERR_EMPTY if nothing
- * is left (as for a parent with itself). */
+/* Computes the XOR of two parents, keeps the largest component, and places it. MO_ERR_EMPTY if
+ * nothing is left (as for a parent with itself). */
 int mo_genotype_crossover(struct mo_workspace workspace, const uint64_t *a, const uint64_t *b,
                           uint64_t *child);
 

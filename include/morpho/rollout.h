@@ -42,7 +42,7 @@ enum mo_impact {
 /* How a step advances positions and velocities; docs/model.md has both. */
 enum mo_integrator {
   MO_INTEGRATOR_PAPER = 0, /* the paper's: a whole kick, then a drift; first order */
-  MO_INTEGRATOR_SPLIT = 1  /* leapfrog: velocities are those of the middle of a step; an impact acts
+  MO_INTEGRATOR_SPLIT = 1  /* leapfrog: velocities are those at the middle of a step; an impact acts
                               on the velocity that the mass has at that moment; second order. Needs
                               drag · dt ≤ 1 */
 };
@@ -133,7 +133,7 @@ uint32_t mo_recording_frames(const struct mo_physics *physics, uint32_t stride);
 /* The count of numbers in one frame of a channel, and the bytes of each number. */
 uint32_t mo_channel_numbers(enum mo_channel channel, uint32_t n_masses, uint32_t n_springs);
 uint32_t mo_channel_width(enum mo_channel channel);
-/* Bytes of one frame of a set of channels. */
+/* Returns the bytes of one frame of a set of channels. */
 uint64_t mo_recording_frame_bytes(unsigned channels, uint32_t n_masses, uint32_t n_springs);
 /* Returns the array of a channel; NULL if not recorded. */
 void *mo_recording_array(const struct mo_recording *recording, enum mo_channel channel);

@@ -22,8 +22,8 @@ extern "C" {
 #define MO_ERROR_DISPLACED      3
 #define MO_ERROR_RUNS_MAX       (2 + MO_ERROR_DISPLACED)
 #define MO_ERROR_DISPLACEMENT_M 1e-7 /* upward, of the first displaced start; then 2 ×, 3 × */
-/* Above this height, starts this far apart are equal in float32, the spacing of which is as large
- * there (6e-8 m below 1 m). */
+/* Above this height, starts this far apart are equal in float32, whose spacing is as large there
+ * (6e-8 m below 1 m). */
 #define MO_ERROR_FLOAT32_MAX_M 1.0
 
 /* An environment bifurcates if its losses, as requested and with displaced starts, differ by more

@@ -1,8 +1,8 @@
 /* score_ladder.h: the settings with which a score reaches a requested accuracy.
  *
  * A ladder begins with the settings of a request. Each further rung halves the time step and keeps
- * duration and control period; from rung MO_LADDER_FLOAT64 on, numbers are float64. A design climbs
- * until its estimated error (score_error.h), the half-width of its interval, is at most the
+ * duration and control period; starting with rung MO_LADDER_FLOAT64, numbers are float64. A design
+ * climbs until its estimated error (score_error.h), the half-width of its interval, is at most the
  * tolerance. The rollouts of a rung are the runs of score_error.h with its settings. Because of
  * that, the run with half of the step is also the first run of the next rung, if the precision is
  * the same. */

@@ -90,10 +90,10 @@ struct mo_states {
                           Must differ from `from` */
 };
 
-/* mo_rollout_reference for a window of physics->scheme.n_steps steps. diverged_step and the frames
- * of recordings count from its start. The first frame is the state: the same numbers as the last
- * frame of the previous window. com_start_m of an outcome is that of the tally. Measures: the same
- * set in all windows. MO_ERR_INVALID, MO_ERR_RANGE: see mo_state_check. */
+/* Runs mo_rollout_reference for a window of physics->scheme.n_steps steps. diverged_step and the
+ * frames of recordings count from its start. The first frame is the state: the same numbers as the
+ * last frame of the previous window. com_start_m of an outcome is that of the tally. Measures: the
+ * same set in all windows. MO_ERR_INVALID, MO_ERR_RANGE: see mo_state_check. */
 int mo_rollout_reference_window(const struct mo_body *body, const struct mo_controller *controller,
                                 const struct mo_environment *environment,
                                 const struct mo_physics *physics, const struct mo_states *states,

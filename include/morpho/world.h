@@ -78,7 +78,7 @@ struct mo_factors {
 };
 #define MO_FACTOR_MIN 0.01
 #define MO_FACTOR_MAX 100.0
-/* All factors are 1, and are given. */
+/* Returns factors that are all 1, and are given. */
 struct mo_factors mo_factors_ones(void);
 
 /* Ranges to draw worlds from, each {lowest, highest}: factors ({1, 1}: it does not vary), and what
@@ -184,7 +184,7 @@ void mo_terrain_random(uint64_t seed, uint32_t step, uint64_t index, double sigm
 /* ---- families of terrains ----
  *
  * All but `rough` and `flat` are profiles of 64 heights, for robots that start at x = 2.5 m and
- * walk along +x. Each is level from x = 0 on to where it begins: at 2.8 m, the end of the default
+ * walk along +x. Each is level from x = 0 to where it begins: at 2.8 m, the end of the default
  * workspace, for `slope`, and at 3.1 m for the others, or at the next height. Between levels there
  * are ramps over one spacing, which is why no rise may exceed it: none is steeper than 45°. The
  * lowest height is MO_TERRAIN_FLOOR_M. docs/model.md has the formulas. */

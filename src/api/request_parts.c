@@ -535,7 +535,7 @@ bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
 /* ---- the tables ---- */
 
 static const char *const priority_words[] = {"batch", "interactive", NULL}; /* enum mo_urgency */
-static const char *const device_words[] = {"auto", "cpu", "cuda", NULL};    /* from −1 on */
+static const char *const device_words[] = {"auto", "cpu", "cuda", NULL};    /* −1 or above */
 const struct mo_field_own mo_controller_field = {.read = read_controller};
 const struct mo_field_own mo_label_field = {.read = read_label};
 static const struct mo_field_own experiment = {read_experiment};

@@ -7,7 +7,7 @@
 
 #include "api/suite.h"
 
-#define WIDE_PX    620 /* from this width on, the legend is beside the axes */
+#define WIDE_PX    620 /* at this width or more, the legend is beside the axes */
 #define LEGEND_PX  210
 #define LABEL_PX   96 /* for the labels on either side */
 #define NARROW_PX  76 /* the same in a narrow picture */

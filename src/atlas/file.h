@@ -21,7 +21,7 @@ struct mo_atlas {
 int mo_atlas_head_check(const struct mo_atlas_head *head, uint64_t file_bytes,
                         struct mo_message *message);
 
-/* Finds out whether a file has this source and these environments. MO_ERR_NO_MEMORY. */
+/* Determines whether a file has this source and these environments. MO_ERR_NO_MEMORY. */
 int mo_atlas_is_of(const struct mo_atlas *atlas, const struct mo_atlas_source *source,
                    const struct mo_environment *environments, uint32_t n, bool *is_of);
 

@@ -1,6 +1,6 @@
 /* losses.h: losses in 16 bits, for single environments: IEEE 754 binary16, rounded to the nearest.
  *
- * Relative error at most 2⁻¹¹ from 6.1e−5 on; absolute error at most 3e−8 below. Finite losses
+ * Relative error at most 2⁻¹¹ at 6.1e−5 and above; absolute error at most 3e−8 below. Finite losses
  * beyond ±65504 are stored as ±65504, the largest. Infinity, the loss of a rollout that diverged,
  * is exact. */
 #ifndef MORPHO_ATLAS_LOSSES_H

@@ -42,10 +42,10 @@ enum mo_field_flag {
 
 struct mo_fields;
 
-/* Functions for a field of its own type. value: the field in its struct. read: reads one JSON value
- * of any kind; an invalid one adds a fault at its place and leaves `value` unchanged. check: MO_OK,
- * MO_ERR_INVALID or MO_ERR_RANGE, with a message that begins with `name`, the path of the setting;
- * NULL: nothing to check. */
+/* Functions for a field with its own type. value: the field in its struct. read: reads one JSON
+ * value of any kind; an invalid one adds a fault at its place and leaves `value` unchanged. check:
+ * MO_OK, MO_ERR_INVALID or MO_ERR_RANGE, with a message that begins with `name`, the path of the
+ * setting; NULL: nothing to check. */
 struct mo_field_own {
   void (*read)(struct mo_json *json, void *value);
   void (*write)(struct mo_text *text, const void *value);

@@ -62,7 +62,7 @@ void mo_text_json_float(struct mo_text *text,
 void mo_text_counts(struct mo_text *text, const uint32_t *counts, size_t n);
 
 /* Appends a comma, unless the text ends with an opening bracket or a colon: before the next item of
- * an array. The functions below do so on their own. */
+ * an array. The functions below do so themselves. */
 void mo_text_next(struct mo_text *text);
 /* Opens an object. */
 void mo_text_object(struct mo_text *text);

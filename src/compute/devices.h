@@ -117,7 +117,7 @@ struct mo_devices *mo_devices_create(struct mo_compute *compute); /* NULL: out o
 /* Queues a block. MO_ERR_DEVICE: no device works, or the block needs a device of this machine;
  * MO_ERR_CANCELLED. */
 int mo_devices_submit(struct mo_devices *devices, struct mo_block *block);
-/* Cancels what is queued and running, joins the threads, closes the devices. NULL-safe. */
+/* Cancels what is queued and running, joins the threads, and closes the devices. NULL-safe. */
 void mo_devices_free(struct mo_devices *devices);
 
 /* ---- device_chunk.c ---- */

@@ -226,7 +226,7 @@ static int set_list(struct setting_list *list, const char *text, bool append,
   return MO_OK;
 }
 
-/* Units from the largest on. A number is written with the first unit that divides it and is not
+/* Units, the largest first. A number is written with the first unit that divides it and is not
  * merely an alias. */
 static const struct unit {
   enum setting_type type;

@@ -12,7 +12,7 @@
 #include "base/clock.h"
 #include "base/processors.h"
 
-#define MANY_CONNECTIONS 64 /* from this many on, freed memory is returned to the system */
+#define MANY_CONNECTIONS 64 /* at this peak or above, freed memory is returned to the system */
 #define ROUND_MS         100
 #define TICK_MS          1000
 

@@ -111,8 +111,8 @@ static void advance(struct run *run, double rollouts_per_s)
 
 /* ---- the file ---- */
 
-/* Finds out what the file with the atlas's name is. MO_OK: it is complete and has what this job
- * writes, so run->is_complete. Nobody else uses the name while the job is open, so an earlier
+/* Determines what the file with the atlas's name is. MO_OK: it is complete and has what this job
+ * writes, so run->is_complete. Nothing else uses the name while the job is open, so an earlier
  * attempt ended right before its job did. MO_ERR_NOT_FOUND; MO_ERR_DUPLICATE: it is a different
  * atlas, and the job gives up. */
 static int adopt(struct run *run)
@@ -149,7 +149,7 @@ static int adopt(struct run *run)
   return error;
 }
 
-/* Finds out why the writer refused to begin. MO_OK: try again, unless run->is_complete. */
+/* Determines why the writer refused to begin. MO_OK: try again, unless run->is_complete. */
 static int resolve(struct run *run)
 {
   const int error = adopt(run);
@@ -497,7 +497,7 @@ static void clean_up(void *context)
 
 /* ---- submission ---- */
 
-#define LARGE_VOXELS 5 /* from this size on, devices are worthwhile */
+#define LARGE_VOXELS 5 /* at this size or above, devices are worthwhile */
 
 static int complete(struct mo_jobs *jobs, struct mo_atlas_request *request,
                     struct mo_message *message)

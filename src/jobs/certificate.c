@@ -259,7 +259,7 @@ static int make_environments(struct run *run)
   return error;
 }
 
-/* Allocates the group of `n` parts from `first` on. */
+/* Allocates the group of `n` parts, starting with `first`. */
 static int make_group(struct run *run, uint32_t first, uint32_t n)
 {
   struct group *group = &run->group;
@@ -282,7 +282,7 @@ static int make_group(struct run *run, uint32_t first, uint32_t n)
   return make_environments(run);
 }
 
-/* Returns how many parts from `first` on form a group. */
+/* Returns how many parts, starting with `first`, form a group. */
 static uint32_t group_size(const struct run *run, uint32_t first)
 {
   const struct part *begin = &run->parts[first];

@@ -10,7 +10,7 @@
 #include "store/trainings.h"
 #include "store/worlds.h"
 
-#define LARGE_ROLLOUTS 20000 /* from this size on, devices are worthwhile */
+#define LARGE_ROLLOUTS 20000 /* at this size or above, devices are worthwhile */
 
 /* What a request is completed with; the request points into it. */
 struct completion {
@@ -152,7 +152,7 @@ static int count_trials(struct completion *made, const struct mo_certificate_bas
   return MO_OK;
 }
 
-/* Reads the environments of a named set. Determines what the trials are made of. */
+/* Reads the environments of a named set. Determines what the trials are built from. */
 static int find_base(struct mo_jobs *jobs, struct completion *made,
                      struct mo_certificate_base *base, struct mo_message *message)
 {

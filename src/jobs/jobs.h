@@ -39,10 +39,9 @@ struct mo_jobs_config {
   const char *version;
   /* File that mo_jobs_crash_note wrote in an earlier process, or NULL. Read once, then emptied. */
   const char *crash_marker;
-  /* When the last process began (wall clock), if it was killed, possibly for lack of memory; else
-   * 0. If only one running training job or campaign had saved nothing since, the kill counts as a
-   *    crash
-   * of that job. */
+  /* When the last process began (wall clock), if it was killed, possibly for lack of memory;
+   * otherwise 0. If only one running training job or campaign had saved nothing since, the kill
+   * counts as a crash of that job. */
   int64_t killed_us;
   /* Called for the log with every error that ends an attempt of a job, with every damaged
    * checkpoint that is skipped, and once each time that a training job or campaign starts to wait
@@ -76,11 +75,10 @@ int mo_jobs_cancel(struct mo_jobs *jobs, int64_t id);
 /* Pauses the job. Pausing a paused job changes nothing and returns MO_OK. */
 int mo_jobs_pause(struct mo_jobs *jobs, int64_t id);
 /* Resumes a paused job. Resuming a queued or running job changes nothing and returns MO_OK. A
- * failed training run or campaign continues from its saved state, with its count of attempts reset
- * to
- * 0. MO_ERR_BUSY: too many jobs are open. A job whose devices are lost, or lack memory for its
- * smallest part, is paused with MO_ERR_DEVICE and the reason; if nothing has changed when the job
- * is resumed, it is paused again. */
+ * failed training run or campaign continues from its saved state, and its attempts are counted from
+ * 0 again. MO_ERR_BUSY: too many jobs are open. A job whose devices are lost, or lack memory for
+ * its smallest part, is paused with MO_ERR_DEVICE and the reason; if nothing has changed when the
+ * job is resumed, it is paused again. */
 int mo_jobs_resume(struct mo_jobs *jobs, int64_t id);
 
 /* Sets the weight at once, even while the job runs. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job has
@@ -91,7 +89,7 @@ int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);
  * MO_ERR_NOT_FOUND. */
 int mo_jobs_edit(struct mo_jobs *jobs, int64_t id, const struct mo_job_edit *edit);
 
-/* ---- what is going on ---- */
+/* ---- activity ---- */
 /* Returns the lattice of the service's workspace, for all of its bodies; valid as long as
  * `jobs`. */
 const struct mo_lattice *mo_jobs_lattice(const struct mo_jobs *jobs);

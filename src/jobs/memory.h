@@ -60,7 +60,7 @@ void mo_memory_forget(struct mo_jobs *jobs, int64_t id);
 /* Forgets the waiting jobs of the kind that are not in `ids`, the list of queued jobs. */
 void mo_memory_keep(struct mo_jobs *jobs, const struct mo_kind *kind, const int64_t *ids,
                     int64_t n);
-/* Recomputes a job's need after a change of its settings. */
+/* Recomputes a job's need after a change to its settings. */
 void mo_memory_renew(struct mo_jobs *jobs, enum mo_job_kind kind, int64_t id);
 /* Records that a job has saved something. */
 void mo_memory_prove(struct mo_jobs *jobs, int64_t id);

@@ -1,6 +1,6 @@
 /* pace.h: the recent rate of a job's results. Pure arithmetic: the caller provides the time.
  *
- * The rate counts from the first results on, so that waiting for the first blocks and starting them
+ * The rate counts from the first results, so that waiting for the first blocks and starting them
  * are not part of it. It covers the last 10 to 20 seconds at most, so that it adapts when jobs that
  * share the cores start or end. */
 #ifndef MORPHO_JOBS_PACE_H
@@ -12,8 +12,8 @@ struct mo_pace {
   struct mo_pace_mark {
     int64_t at_us;
     uint64_t done;
-  } from, next, last;      /* last: the newest results; from: begin of the measured period; next:
-                            * begin of the next period */
+  } from, next, last;      /* last: the newest results; from: start of the measured period; next:
+                            * start of the next period */
   uint32_t n_from, n_next; /* number of arrivals since these; 0 at first */
 };
 

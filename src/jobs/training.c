@@ -10,7 +10,7 @@
 #include "jobs/training_run.h"
 
 #define ROWS_EVERY_US INT64_C(1000000)
-/* If the first steps fail, this many of them, the later ones will fail as well. */
+/* If this many of the first steps fail, the later ones will fail as well. */
 #define STEPS_WITHOUT_GRADIENT_MAX 10
 
 /* ---- steps ---- */

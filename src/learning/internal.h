@@ -74,7 +74,7 @@ bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *set
                     double scale, const double *gradient, float *weights, size_t n,
                     uint32_t n_threads, uint32_t *bounded);
 
-/* environments.c: allocates n environments of the training's own, to be filled in. */
+/* environments.c: allocates n environments that belong to the training, to be filled in. */
 int mo_training_allocate_environments(struct mo_training *training, uint32_t n);
 /* Gives a drawn environment the task of another, and its light if the task moves the light. */
 void mo_training_give_task(const struct mo_environment *tasked, struct mo_environment *environment);

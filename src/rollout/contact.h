@@ -24,8 +24,8 @@ bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *
  * in 0.4 ms. */
 #define MO_LIES_M 1e-6
 
-/* mo_contact_move for `split`. velocity: in the middle of the step; acceleration: due to springs
- * and gravity, without drag. */
+/* Like mo_contact_move, for `split`. velocity: in the middle of the step; acceleration: due to
+ * springs and gravity, without drag. */
 bool mo_contact_split(const struct mo_scheme *scheme, const struct mo_constants *constants,
                       const struct mo_environment *environment, double highest_m,
                       const double acceleration[3], double position_m[3],

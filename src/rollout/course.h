@@ -44,7 +44,7 @@ struct mo_track {
   struct mo_tally tally;
 };
 
-/* What is known about a rollout besides its track. */
+/* What is known about a rollout in addition to its track. */
 struct mo_observed {
   double work_j;          /* measure work_j without rounding; unused by tasks that do not need it */
   const double *measures; /* (MO_MEASURES) of which those of mo_task_measures count, without

@@ -94,7 +94,7 @@ static inline double sum_in(const struct mo_course *course, const struct mo_trac
   return is_sum(course) ? track->tally.sums[sum] : track->sum;
 }
 
-/* ∂loss/∂ a sum. */
+/* Returns the place of ∂loss/∂ a sum. */
 static inline double *d_sum_at(const struct mo_course *course, struct mo_course_adjoint *adjoint,
                                unsigned sum)
 {

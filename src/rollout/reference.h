@@ -47,8 +47,8 @@ struct mo_reference {
   double *impulse_n_s;      /* (n_masses, 3) impulses of the last step's springs */
   double *output;           /* (n_springs) the latest outputs of the controller */
   uint8_t *contacts;        /* (n_masses) 1: touched the terrain in the last step */
-  uint8_t *cut;             /* (n_springs) 1: exerts no force from step cut_step on; 2: never exerts
-                               force */
+  uint8_t *cut;             /* (n_springs) 1: exerts no force in step cut_step and later ones; 2:
+                               never exerts force */
   uint32_t cut_step;
   struct mo_step_tape own;   /* its `control` is empty without a controller */
   struct mo_step_tape *tape; /* of the next step; initially `own` */

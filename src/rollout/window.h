@@ -17,7 +17,8 @@ struct mo_window {
 /* from: a checked state, or NULL. control_steps is 0 if the period is invalid. */
 struct mo_window mo_window_of(const struct mo_scheme *scheme, const struct mo_state *from);
 
-/* mo_state_check, and whether a tally that continues has observed what is to be observed now. */
+/* Calls mo_state_check, and checks that a tally that continues has observed what is to be observed
+ * now. */
 int mo_window_check(const struct mo_state *from, const struct mo_body *body,
                     const struct mo_environment *environment, const struct mo_physics *physics,
                     enum mo_precision precision, unsigned observations, struct mo_message *message);

@@ -164,7 +164,7 @@ static size_t index_of(const struct trial *trial, uint64_t place)
   return (size_t)(rest / width) * trial->n_environments + first + rest % width;
 }
 
-/* A row of certificate_losses: trial, place, losses, measures, from column `first` on. */
+/* A row of certificate_losses: trial, place, losses, measures, starting at column `first`. */
 struct row {
   int64_t key[KEY_WORDS];
   uint64_t place;

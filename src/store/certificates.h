@@ -69,8 +69,9 @@ int mo_store_certificate(struct mo_store *store, int64_t id, struct mo_certifica
 /* Like mo_store_jobs, but only certificates; ignores the query's kind. */
 int64_t mo_store_certificates(struct mo_store *store, const struct mo_job_query *query,
                               void *statuses /* struct mo_certificate_status */, size_t limit);
-/* Reads what the trials are made of. *environments: the base's, which base->environments borrows;
- * the caller frees them with mo_environments_free (base->n_environments, 0 after an error). */
+/* Reads what the trials are built from. *environments: the base's, which base->environments
+ * borrows; the caller frees them with mo_environments_free (base->n_environments, 0 after an
+ * error). */
 int mo_store_certificate_base(struct mo_store *store, const struct mo_certificate_status *status,
                               struct mo_environment **environments,
                               struct mo_certificate_base *base);

@@ -6,7 +6,7 @@
 #include "store/internal.h"
 
 /* A job in state 6 with this epoch is hidden because it is being imported; mo_import_finish gives
- * it the state. Jobs that are being deleted have an epoch from 0 on. */
+ * it the state. Jobs that are being deleted have an epoch of 0 or above. */
 #define MO_IMPORT_EPOCH(state) (-1 - (int64_t)(state))
 
 /* Everything except the memory that the pointers refer to is as before a piece when the piece runs

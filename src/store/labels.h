@@ -7,7 +7,7 @@
 
 struct mo_store;
 
-/* Changes of a job. NULL removes a text. */
+/* Changes to a job. NULL removes a text. */
 struct mo_job_edit {
   bool has_label, has_experiment, has_note, has_archived; /* whether each of these changes */
   bool archived;

@@ -10,7 +10,7 @@
 #define MO_OWN_SCORE_UNIT_MAX 16   /* characters, in UTF-8 */
 
 /* The designs of such a study are ranked by what the client sends; the service stores its own
- * losses beside that, and never ranks by them. Lower is better, as for every score. */
+ * losses alongside, and never ranks by them. Lower is better, as for every score. */
 struct mo_own_score {
   char name[MO_OWN_SCORE_NAME_MAX + 1];     /* "": the service computes the scores */
   char unit[4 * MO_OWN_SCORE_UNIT_MAX + 1]; /* "": a pure number */

@@ -93,7 +93,7 @@ struct mo_warning {
  * store/campaigns.h). It owns nothing, so it may be copied. */
 struct mo_job {
   int64_t id;      /* ≥ 1 */
-  int64_t version; /* grows with every change of the row: the ETag */
+  int64_t version; /* grows with every change to the row: the ETag */
   enum mo_job_kind kind;
   enum mo_job_state state;
   enum mo_urgency priority;

@@ -11,7 +11,7 @@
 /* ---- packed losses: doubles; the 32-bit steps if any rollout diverged; a 64-bit checksum ---- */
 
 #define MO_PACKED_BYTES(n) (12 * (size_t)(n) + 8) /* at most */
-/* Returns the checksum of `key` and of bytes. A change of any one word changes it. */
+/* Returns the checksum of `key` and of bytes. A change to any one word changes it. */
 uint64_t mo_row_checksum(const int64_t *key, size_t n_key, const void *bytes, size_t size);
 /* Returns the number of bytes. `key` identifies the losses, for the checksum. */
 size_t mo_pack_losses(const int64_t *key, size_t n_key, const double *losses,
@@ -59,7 +59,7 @@ int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *c
  * `fingerprint` or, where there are none, of the class `workers` (0: none). */
 int mo_losses_read(struct mo_connection *connection, const struct mo_saved_design *design,
                    const int64_t *environments, uint32_t n, struct mo_score *scores);
-/* Finds out whether the losses in all environments of a condition are stored, in any blocks. */
+/* Determines whether the losses in all environments of a condition are stored, in any blocks. */
 int mo_losses_are_known(struct mo_connection *connection, const struct mo_condition *condition,
                         int64_t genotype, bool *are_known);
 /* Compares a row with the stored losses of its rollouts, no matter which blocks they are in.

@@ -133,10 +133,10 @@ int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint3
 
 /* ---- which code computed the steps ----
  *
- * Each change has one row: from this step on, this fingerprint. Before its first step, a run stores
- * its code under its starting step, and deletes the later rows, because it recomputes their steps.
- * So after any crash, the rows below a step describe the weights at that step, and a run that
- * computes no step leaves no row. */
+ * Each change has one row: starting at this step, this fingerprint. Before its first step, a run
+ * stores its code under its starting step, and deletes the later rows, because it recomputes their
+ * steps. So after any crash, the rows below a step describe the weights at that step, and a run
+ * that computes no step leaves no row. */
 
 #define VARIOUS "various"
 

@@ -108,7 +108,7 @@ unsigned mo_environment_version(const struct mo_environment *environment)
   return version > least ? version : least;
 }
 
-/* Checks that the heights from n on, which only the 8 × 8 grid has, are 0. */
+/* Checks that heights n and above, which only the 8 × 8 grid has, are 0. */
 static int check_zeros(const struct mo_environment *environment, uint32_t n, uint32_t *where)
 {
   for (uint32_t k = n; k < MO_TERRAIN_HEIGHTS; k++)

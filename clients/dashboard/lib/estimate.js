@@ -14,7 +14,7 @@ const [RANDOM, EVOLVED] = [250, 500];
 /** A gradient takes about as long as this many rollouts. */
 const GRADIENT = 6;
 
-/** Rollouts from which `auto` computes an evaluation on a device. */
+/** The number of rollouts at which `auto` starts to compute an evaluation on a device. */
 const DEVICE_ROLLOUTS = 1000;
 
 /** Returns roughly the springs of a body, from its voxels: binary or hexadecimal digits. */

@@ -8,7 +8,7 @@ import { KINDS, isMoving } from './kinds.js';
 const LOADED_MAX = 5000;
 const PAGE_MAX = 1000;
 
-/** What is asked of a list: see readLink of views/runs.js.
+/** The query of a list: see readLink of views/runs.js.
  * @typedef {{search: string, kind: string, state: string, experiment: string, archived: string,
  *   sort: string, order: string}} Asked */
 

@@ -43,14 +43,12 @@ const RETRY_MS = 500;
 
 export class Drive {
   /**
-   * @param {{
-   *   roll: function({light: number[], states: ?(Object|null)[], n: number, signal: AbortSignal}):
-   *     Promise<{windows: (Part|null)[][], states: (Object|null)[]}>,
-   *   sink: {append: function(Window): void, cutAt: function(number): void},
-   *   light: number[], windowS: number, keepS: number, onfault: function(Error): void,
-   *   now?: function(): number }} options
-   *   roll computes n windows; sink.append gets the windows in order, and sink.cutAt removes those
-   *   from a number on; keepS: how much of what was driven is kept
+   * @param {{ roll: function({light: number[], states: ?(Object|null)[], n: number, signal:
+   *   AbortSignal}): Promise<{windows: (Part|null)[][], states: (Object|null)[]}>, sink: {append:
+   *   function(Window): void, cutAt: function(number): void}, light: number[], windowS: number,
+   *   keepS: number, onfault: function(Error): void, now?: function(): number }} options roll
+   *   computes n windows; sink.append gets the windows in order, and sink.cutAt removes those with
+   *   at least a given number; keepS: how much of what was driven is kept
    */
   constructor({ roll, sink, light, windowS, keepS, onfault, now = () => performance.now() }) {
     this.roll = roll;
@@ -65,7 +63,7 @@ export class Drive {
     this.timeS = 0;
     this.speed = 1;
     this.playing = true;
-    /** @type {Window[]} windows from number `first` on */
+    /** @type {Window[]} windows, starting with number `first` */
     this.windows = [];
     this.first = 0;
     /** For how long the motion has been held in all, because a window was missing. */

@@ -51,7 +51,7 @@ export class Live {
     this.stage.timeS = timeS - this.first * this.frameS;
   }
 
-  /** Removes the windows from this one on. */
+  /** Removes this window and all later ones. */
   cutAt(window) {
     const frames = window * this.perWindow + 1 - this.first;
     for (const robot of this.robots) robot.frames = Math.min(robot.frames, frames);
@@ -83,7 +83,7 @@ export class Live {
   }
 }
 
-/** Fills frames from a place on with the frame before it. */
+/** Fills all frames starting at a place with the frame before it. */
 export function repeat(all, at, perFrame, frames) {
   for (let i = 0; i < frames; i++) {
     all.copyWithin(at + i * perFrame, at - perFrame, at);

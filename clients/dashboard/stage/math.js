@@ -99,7 +99,7 @@ export function normalize(a) {
 
 /**
  * Returns how the heights of a world lie, as uniforms: 8 × 8 over 5 m × 5 m; with a spacing, a
- * profile along x from x = 0 on; with columns as well, a grid around the start.
+ * profile along x that starts at x = 0; with columns as well, a grid around the start.
  * @param {{heights: ArrayLike<number>, spacing?: number, columns?: number}} world
  */
 export function groundOf({ heights, spacing, columns }) {

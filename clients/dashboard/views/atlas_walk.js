@@ -25,8 +25,8 @@ function still(genotype) {
 export class AtlasWalk {
   /**
    * @param {any} app
-   * @param {(genotype: string, id: string, signal: AbortSignal) => Promise<{robot: any,
-   *   words: string}>} rollOf returns a robot of the stage, or null, and what is to be said of it
+   * @param {(genotype: string, id: string, signal: AbortSignal) => Promise<{robot: any, words:
+   *   string}>} rollOf returns a robot of the stage, or null, and the words about it
    */
   constructor(app, rollOf) {
     this.rollOf = rollOf;

@@ -8,7 +8,7 @@
 extern "C" {
 #endif
 
-/* Version of the code, for fingerprints: changes with every change of a bit. */
+/* Version of the code, for fingerprints: changes whenever any bit of a result does. */
 #define MO_CUDA_GRADIENT_CODE "gradient-7"
 
 /* Implements mo_device_module.gradient. memory_bytes: limit of device memory to use; 0: the free

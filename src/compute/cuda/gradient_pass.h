@@ -18,7 +18,7 @@ struct mo_gradient_pass {
 };
 
 /* Returns, before any work, whether the kernels' offsets can address each group's part of the tape,
- * and any single shard fits in `most` bytes. */
+ * and whether any single shard fits in `most` bytes. */
 bool mo_gradient_can_be_held(const struct mo_gradient_plan *plan, struct mo_gp_time time,
                              uint64_t most);
 
