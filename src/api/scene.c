@@ -109,7 +109,7 @@ static const struct {
 } sides[6] = {{{-1, 0, 0}, {0, 1, 3, 2}}, {{1, 0, 0}, {4, 6, 7, 5}},  {{0, -1, 0}, {0, 4, 5, 1}},
               {{0, 1, 0}, {2, 3, 7, 6}},  {{0, 0, -1}, {0, 2, 6, 4}}, {{0, 0, 1}, {1, 5, 7, 3}}};
 
-/* Returns whether a genotype has a voxel at (x, y, z); none has one outside of the workspace. */
+/* Returns whether a genotype has a voxel at (x, y, z); none has one outside the workspace. */
 static bool has_voxel(const struct mo_genotype *genotype, int x, int y, int z)
 {
   const struct mo_workspace workspace = genotype->workspace;

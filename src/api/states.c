@@ -318,7 +318,7 @@ static void copy(double *to, size_t n, const struct list *from)
     memcpy(to, from->numbers, n * sizeof(*to));
 }
 
-/* Marks the places of a list. Returns false if one is outside of the n bytes. */
+/* Marks the places of a list. Returns false if one is outside the n bytes. */
 static bool mark(uint8_t *bytes, uint32_t n, const struct list *places)
 {
   for (uint32_t i = 0; i < places->n; i++) {

@@ -42,7 +42,7 @@ static void place_digits(uint32_t *counts)
 }
 
 /* Sorts all positions by score, stably, with digits of 16 bits. by_size holds the positions between
- * the passes, beside their higher digits, so that little memory is needed in addition to the
+ * the passes, next to their higher digits, so that little memory is needed in addition to the
  * index. */
 static int sort_all(struct mo_atlas_index *index)
 {

@@ -163,7 +163,7 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   const struct mo_submitting submitting = {MO_JOB_CAMPAIGN, &asked->job, request.controller,
                                            record->replicates, 0};
   int error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
-  /* Look here first, before a full queue or a missing device can cause a rejection of the request;
+  /* Look here first, before a full queue or a missing device can cause the request to be rejected;
    * the store checks again. */
   if (error == MO_OK && !*replayed && asked->reuses &&
       mo_store_study_find(jobs->store, asked->job.label, id) == MO_OK)

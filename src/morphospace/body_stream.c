@@ -1,8 +1,8 @@
 /* body_stream.c: random bodies without repetition.
  *
  * Draws and their canonical forms depend only on their numbers, so a few hundred are made ahead, on
- * as many threads as allowed. Whether each is new is decided one after another, in the order of
- * their numbers. With one thread, none are made ahead. */
+ * as many threads as allowed. They are then checked for repetitions one after another, in the order
+ * of their numbers. With one thread, none are made ahead. */
 #include <morpho/morphospace.h>
 
 #include "base/thread.h"

@@ -2,9 +2,9 @@
  *
  * Open addressing with linear probing over bare forms of ceil(voxels / 8) bytes (18 in the default
  * workspace). A slot of zeros is free, because no form is empty. The hash's top bits choose one of
- * MO_FORM_SEGMENTS tables, its other bits the slot. Each table grows by a quarter on its own when
- * it is 4/5 full, so that a growing set never holds two copies of itself: the peak is the set plus
- * one table, and forms take between 1.25 and 1.57 times their own size.
+ * MO_FORM_SEGMENTS tables, its other bits the slot. Each table independently grows by a quarter
+ * when it is 4/5 full, so that a growing set never holds two copies of itself: the peak is the set
+ * plus one table, and forms take between 1.25 and 1.57 times their own size.
  *
  * Threads that add many forms divide the tables: each thread adds the forms of its own tables, in
  * their order. So no two threads touch the same table, and every table gets the same content as

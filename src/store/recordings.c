@@ -4,7 +4,7 @@
  * of unfinished evaluations stay, because a restart continues from them.
  *
  * The row of each evaluation has the bytes of its recordings, and `meta` has the sum. Every change
- * of recordings updates both in the same transaction. */
+ * to recordings updates both in the same transaction. */
 #include "store/recordings.h"
 
 #include <math.h>

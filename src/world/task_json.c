@@ -390,7 +390,7 @@ static void read_factors(struct mo_json *json, struct mo_environment *environmen
     environment->factors = mo_factors_simplest(&factors);
 }
 
-/* Writes those that are not 1. */
+/* Writes the factors that are not 1. */
 static void write_factors(struct mo_text *text, const struct mo_factors *factors)
 {
   mo_text_open(text, "factors", "{");

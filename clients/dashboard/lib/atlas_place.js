@@ -2,8 +2,8 @@
 
 import { WORKSPACE, cellsOf, genotypeOf, genotypeOfId } from './body.js';
 
-/** Names a cell, even one that is outside of the workspace by less than its sides. Numbers, because
- * a page places some twenty bodies at once. */
+/** Names a cell, even one that is outside the workspace by less than its sides. Numbers, because a
+ * page places some twenty bodies at once. */
 const nameOf = (x, y, z) => (x + 16) * 4096 + (y + 16) * 64 + z + 16;
 
 /**

@@ -168,8 +168,8 @@ export class Chart {
     return this.#shown().find((s) => !s.silent && s.x.length);
   }
 
-  /** Zooms, and has the cursor, together with the charts of a group. @param {string} key its name
-   * in a link */
+  /** Shares the zoom and the cursor with the charts of a group. @param {string} key its name in a
+   * link */
   join(group, key = '') {
     this.group?.charts.delete(this);
     this.group = group;
@@ -215,7 +215,7 @@ export class Chart {
     this.showCursor(false);
   }
 
-  /** Says which hidden series the chart does not have. */
+  /** Reports which hidden series the chart does not have. */
   #checkHidden() {
     const names = [...new Set(this.series.map((s) => s.of ?? s.name))];
     const unknown = names.length
@@ -232,7 +232,7 @@ export class Chart {
     this.observer.disconnect();
   }
 
-  /** Says why there is no value. */
+  /** Explains why there is no value. */
   #nothing() {
     const { empty } = this.options;
     if (!this.series.some((s) => s.x.length)) return empty;

@@ -1,4 +1,5 @@
-/** What a request will take here, from the time that earlier rollouts took (GET /v1/rates). */
+/** How long a request will take here, estimated from the time that earlier rollouts took (GET
+ * /v1/rates). */
 
 import { getJson, post } from './api.js';
 import { CAMPAIGN_STEPS, VALIDATION, physicsOf, randomPeriodS } from './defaults.js';
@@ -121,7 +122,7 @@ function secondsOf(part, plan, work, rates) {
 }
 
 /**
- * Describes what a request takes.
+ * Describes how long a request takes.
  * @param {Plan|null} plan
  * @param {any[]|null} rates null: unknown
  * @param {number} n threads, or devices
@@ -154,7 +155,7 @@ function estimateOf(plan, rates, n) {
 const isUnsuited = ({ terrain }) => terrain?.kind === 'grid';
 
 /**
- * Returns the line of a form that says what its request will take.
+ * Returns the line of a form that says how long its request will take.
  * @param {string} kind of the job
  */
 export async function estimateFor(kind) {

@@ -31,7 +31,7 @@ async function inTurn(work, signal) {
         waiting.delete(start);
         reject(signal.reason);
       };
-      const start = () => { // in the place of what ended
+      const start = () => { // takes the place of work that ended
         waiting.delete(start);
         signal.removeEventListener('abort', drop);
         resolve();

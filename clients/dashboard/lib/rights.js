@@ -1,6 +1,6 @@
 /**
  * What the caller may do here. The service decides; the page omits what the service would refuse,
- * and says why.
+ * and explains why.
  */
 
 import { getJson } from './api.js';

@@ -15,7 +15,7 @@ const PAGE_MAX = 1000;
 export class RunList {
   /** @param {AbortSignal} signal ends everything */
   constructor(signal) {
-    /** Ends what the newest call of load asked for, and what its jobs need. */
+    /** Aborts the requests of the newest call of load, and those that its jobs need. */
     this.turn = new AbortController();
     signal.addEventListener('abort', () => this.turn.abort());
     this.signal = signal;
@@ -33,8 +33,8 @@ export class RunList {
   }
 
   /**
-   * Loads jobs until there are enough; as many as possible if the page puts them in order itself.
-   * Returns false if another call began in the meantime, or the page was left.
+   * Loads jobs until there are enough; as many as possible if the page sorts them itself. Returns
+   * false if another call began in the meantime, or the page was left.
    * @param {Asked} asked
    * @param {number} wanted
    * @param {boolean} needsFacts whether the order is by facts of the jobs

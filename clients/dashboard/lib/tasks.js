@@ -109,7 +109,7 @@ const SCORES = {
 };
 
 /**
- * Says what the score of a task is, and which scores are better.
+ * Describes what the score of a task is, and which scores are better.
  * @param {string|any[]|undefined} environments
  * @param {string} kind of the job: some show the loss
  */

@@ -1,4 +1,4 @@
-/** The page of an atlas without a service: tools/atlas-site puts it beside an atlas file. */
+/** The page of an atlas without a service: tools/atlas-site puts it next to an atlas file. */
 
 import { announce, button, fill, h } from '../lib/dom.js';
 import { score } from '../lib/format.js';

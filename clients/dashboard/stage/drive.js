@@ -138,7 +138,7 @@ export class Drive {
     clearTimeout(this.timer);
   }
 
-  /** Measures how long after a move of the light robots feel it. */
+  /** Measures how long robots take to respond to a move of the light. */
   #noteTurn(now) {
     const { movedMs } = this.windows[this.current - this.first];
     if (movedMs === this.turnedMs || this.timeS <= this.current * this.windowS) return;

@@ -387,7 +387,7 @@ export class Player {
     this.setNote('');
   }
 
-  /** Says how many robots are here while others are still computed. */
+  /** Shows how many robots are here while others are still computed. */
   setComing(n, of) {
     if (!this.stage) return;
     this.isComing = n < of;

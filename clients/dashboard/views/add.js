@@ -7,7 +7,7 @@ import { nameOf } from '../lib/names.js';
 import { TRAY_MAX, tray } from '../lib/tray.js';
 
 /**
- * Adds bodies to the tray, and says what became of them.
+ * Adds bodies to the tray, and reports what happened to them.
  * @param {{genotype: string, robot?: string, note?: string}[]} bodies
  */
 export function addToTray(bodies) {

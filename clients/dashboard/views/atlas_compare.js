@@ -11,7 +11,7 @@ const BOTTOM_PX = 40;
 const MARGIN_PX = 10;
 const NONE = 'Compare with…';
 
-/** Says what Kendall's τ means. */
+/** Explains what Kendall's τ means. */
 function tauWords(tau) {
   if (tau === null) return 'One of them does not rank bodies at all.';
   const share = Math.round(50 * (1 + tau));

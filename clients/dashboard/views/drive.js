@@ -184,7 +184,7 @@ export class Driving {
     else this.drive.tick();
   }
 
-  /** Says how long the drive is, and what is wrong. */
+  /** Reports how long the drive is, and what is wrong. */
   #report(now) {
     const { isLate, timeS, windows, first } = this.drive;
     this.lateSince = isLate ? this.lateSince ?? now : null;

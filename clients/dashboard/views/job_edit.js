@@ -8,7 +8,7 @@ import { may } from '../lib/rights.js';
 import { announced, confirmDialog, formDialog } from './share.js';
 
 /**
- * Asks for confirmation and says what will be lost. Returns whether it was given.
+ * Asks for confirmation, and states what will be lost. Returns whether the user confirmed.
  * @param {any[]} jobs that have ended
  */
 export function confirmDeletion(jobs) {

@@ -150,7 +150,7 @@ export async function mount(main, path, parameters, app) {
       ({ key: job.id, cells: cellsOf({ key: job.id, job }).slice(1) })));
     draw();
     Promise.all(newest.map((job) => knownFacts(job) || factsOf(job, stop.signal)))
-      .then(draw, () => {}); // the next refresh asks again
+      .then(draw, () => {}); // the next refresh retries
     none.hidden = items.length > 0;
     say(none, `No jobs yet.${may('submit') ? ' Start one above, or with morphoctl.' : ''}`);
   }

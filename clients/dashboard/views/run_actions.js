@@ -1,4 +1,4 @@
-/** What is done with the selected runs: compare, pause, resume, archive, restore, delete. */
+/** What can be done with the selected runs: compare, pause, resume, archive, restore, delete. */
 
 import { post, request } from '../lib/api.js';
 import { announce, button, h, say } from '../lib/dom.js';
@@ -76,7 +76,7 @@ export class RunActions {
     return { element, isFor, name };
   }
 
-  /** Does something with each job, and says what was done and what was refused. */
+  /** Applies an action to each job, and reports what was done and what was refused. */
   async #all(jobs, done, work) {
     const refused = [];
     for (const job of jobs) {

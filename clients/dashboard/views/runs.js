@@ -131,7 +131,7 @@ export async function mount(main, [id], parameters, app) {
       const { signal } = list.turn;
       Promise.all(unknown.map((job) => factsOf(job, signal))).then(() => {
         if (!stop.signal.aborted && rowOf(row.key) === row) rows.redraw(row.key);
-      }, () => {}); // the next refresh asks again
+      }, () => {}); // the next refresh retries
     }
   }
 
@@ -204,7 +204,7 @@ export async function mount(main, [id], parameters, app) {
     show();
   }
 
-  /** Refreshes, or says why the rows are still the old ones. */
+  /** Refreshes, or explains why the rows are still the old ones. */
   async function reload() {
     try {
       await refresh();

@@ -160,7 +160,7 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
     asm volatile("cp.async.wait_all;" ::: "memory");
   }
 
-  /* ∂loss/∂ the final state of row r, times `weight`. */
+  /* Computes ∂loss/∂ the final state of row r, times `weight`. */
   __device__ __forceinline__ void aim(int r, mo_away end, double weight)
   {
     const int n = own_masses(r), from = first + own_begin(r);
