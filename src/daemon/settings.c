@@ -54,14 +54,14 @@ const struct setting settings_table[] = {
               "wait for computing."),
     TEXT_ROW("devices", SETTING_LIST, devices, "auto", NULL, false,
              "GPUs that compute: auto (all that work), none, or their numbers: 0,1. Scores do not "
-             "depend on their number, but differ from the processors' in the last digits."),
+             "depend on their number, but differ from the CPU's in the last digits."),
     TEXT_ROW("compute_module", SETTING_PATH, compute_module, "",
              "morphod-cuda.so of the installation, if it exists", false,
              "Module that computes on the devices."),
     TEXT_ROW("fleet_listen", SETTING_LIST, fleet_listen, "", "none", false,
              "Addresses where workers on other machines (morphod worker) get work: host:port or "
-             "[ipv6]:port. Beyond loopback, they need fleet_certificate, fleet_key, and tokens "
-             "with the right worker."),
+             "[ipv6]:port. Addresses that are not on loopback need fleet_certificate, fleet_key, "
+             "and tokens with the right worker."),
     TEXT_ROW("fleet_certificate", SETTING_PATH, fleet_certificate, "", "none: without TLS", false,
              "Certificate of fleet_listen, in PEM, with its chain; served with TLS 1.3."),
     TEXT_ROW("fleet_key", SETTING_PATH, fleet_key, "", "none", false,
@@ -79,7 +79,7 @@ const struct setting settings_table[] = {
     TEXT_ROW("token_file", SETTING_PATH, token_file, "",
              "credential \"token\", if systemd passes one", true,
              "File with lines of NAME RIGHT TOKEN; rights are read, submit and admin, and worker "
-             "for fleet_listen. Required for addresses beyond loopback."),
+             "for fleet_listen. Required for addresses that are not on loopback."),
     CHOICE_ROW("token_on_loopback", token_on_loopback, "no|yes", "no", false,
                "Whether loopback addresses also require a token."),
     CHOICE_ROW("dashboard", dashboard, "on|read-only|off", "on", false,
@@ -92,10 +92,10 @@ const struct setting settings_table[] = {
         "unix_groups", SETTING_LIST, unix_groups, "", "none", false,
         "Groups whose members may use the unix sockets, besides root and the service's own user."),
     VALUE_ROW("max_connections", SETTING_NUMBER, max_connections, 1, 65536, "1024", NULL,
-              "Connections at one time; idle ones give way to new ones. If none is idle, more are "
-              "refused with 503."),
+              "Simultaneous connections; idle ones are closed to make room for new ones. If none "
+              "is idle, new ones are refused with 503."),
     VALUE_ROW("max_streams", SETTING_NUMBER, max_streams, 1, 65536, "256", NULL,
-              "Event streams at one time; more are refused with 503."),
+              "Simultaneous event streams; more are refused with 503."),
     VALUE_ROW("max_body", SETTING_BYTES, max_body_bytes, 1 * KIB, 1 * GIB, "64M", NULL,
               "Largest JSON request body; a million designs take 50 MiB, as hexadecimal digits."),
     VALUE_ROW("max_controller", SETTING_BYTES, max_controller_bytes, 1 * MIB, 4 * GIB, "16M", NULL,
@@ -110,13 +110,13 @@ const struct setting settings_table[] = {
     VALUE_ROW("idle_timeout", SETTING_DURATION, idle_timeout_ms, SECOND, HOUR, "60s", NULL,
               "Time after which an idle connection is closed."),
     VALUE_ROW("max_open_jobs", SETTING_NUMBER, max_open_jobs, 1, 1000000, "10000", NULL,
-              "Jobs queued, running or paused at one time; more are refused with 503."),
+              "Jobs that are queued, running or paused; more are refused with 503."),
     VALUE_ROW("max_open_rollouts", SETTING_NUMBER, max_open_rollouts, 1000, UINT64_C(1000000000),
               "20000000", NULL, "Rollouts of all open jobs; more are refused with 503."),
     VALUE_ROW("max_trainings", SETTING_NUMBER, max_trainings, 1, 16, "1", NULL,
-              "Trainings that run at one time; the others wait in order of submission."),
+              "Training runs that run at the same time; the others wait in order of submission."),
     VALUE_ROW("max_campaigns", SETTING_NUMBER, max_campaigns, 1, 64, "4", NULL,
-              "Campaigns that run at one time; the others wait in order of submission."),
+              "Campaigns that run at the same time; the others wait in order of submission."),
     VALUE_ROW("max_recorded", SETTING_BYTES, max_recorded_bytes, 0, 16 * GIB, "64M", NULL,
               "Recorded trajectories of one evaluation; a request for more is refused with 422."),
     VALUE_ROW("max_recordings", SETTING_BYTES, max_recordings_bytes, 0, MIB *GIB, "8G", NULL,
@@ -127,32 +127,34 @@ const struct setting settings_table[] = {
               "on them; 222 MiB for the default controller. They are drawn once; beyond the limit, "
               "the least recently used file is removed. 0: each campaign draws them."),
     VALUE_ROW("keep_evaluations", SETTING_DURATION, keep_evaluations_ms, 0, 36500 * DAY, "0",
-              "for good",
+              "permanently",
               "How long an evaluation and its recordings are kept after its end; it stays if it "
-              "has a note, is archived, or a training learns on its designs. Scores stay."),
+              "has a note, is archived, or a training run uses its designs. Scores stay."),
     VALUE_ROW(
-        "keep_trainings", SETTING_DURATION, keep_trainings_ms, 0, 36500 * DAY, "0", "for good",
-        "How long a training, its curve and checkpoints are kept after its end; it stays if it has "
-        "a note, is archived, or another job began with its controller. The controller stays."),
+        "keep_trainings", SETTING_DURATION, keep_trainings_ms, 0, 36500 * DAY, "0", "permanently",
+        "How long a training run, its curve and checkpoints are kept after its end; it stays if it "
+        "has a note, is archived, or another job started from its controller. The controller "
+        "stays."),
     VALUE_ROW(
-        "keep_campaigns", SETTING_DURATION, keep_campaigns_ms, 0, 36500 * DAY, "0", "for good",
+        "keep_campaigns", SETTING_DURATION, keep_campaigns_ms, 0, 36500 * DAY, "0", "permanently",
         "How long a campaign or study, its phylogeny and checkpoints are kept after its end or "
-        "import; it stays if it has a note, is archived, or another job began with its population "
-        "or controller, or shares its environments. Designs, scores and the controller stay."),
+        "import; it stays if it has a note, is archived, or another job started from its "
+        "population or controller, or shares its environments. Designs, scores and the controller "
+        "stay."),
     VALUE_ROW("keep_recordings", SETTING_DURATION, keep_recordings_ms, 0, 36500 * DAY, "0",
-              "for good",
+              "permanently",
               "How long the recordings of an evaluation are kept after its end; they stay if it "
               "has a note or is archived."),
     VALUE_ROW("max_memory", SETTING_BYTES, max_memory, 0, MIB *GIB, "0",
               "seven eighths of the machine's memory, or of the limit of the cgroup or process if "
               "that is less, at least 64M",
-              "Memory that the service may use, at least 128M; a training or campaign that needs "
-              "more waits, or is refused with 422."),
+              "Memory that the service may use, at least 128M; a training run or campaign that "
+              "needs more waits, or is refused with 422."),
     VALUE_ROW("max_in_flight", SETTING_NUMBER, max_in_flight, 1, 65536, "64", NULL,
-              "Requests from one client that are handled at one time, except event streams and "
-              "waits for jobs; more are refused with 429."),
+              "Requests from one client that are handled at the same time, except event streams "
+              "and waits for jobs; more are refused with 429."),
     VALUE_ROW("client_rate", SETTING_NUMBER, client_rate_per_s, 0, 1000000, "0", "no limit",
-              "Submissions and uploads per second and client; more are refused with 429."),
+              "Submissions and uploads per second from one client; more are refused with 429."),
     VALUE_ROW("events_kept", SETTING_NUMBER, events_kept, 1000, UINT64_C(100000000), "100000", NULL,
               "Events kept for clients that reconnect with Last-Event-ID."),
     VALUE_ROW("drain_timeout", SETTING_DURATION, drain_timeout_ms, 0, 60 * SECOND, "5s", NULL,
@@ -165,7 +167,7 @@ const struct setting settings_table[] = {
                "Format of the log lines on standard error."),
     TEXT_ROW("port_file", SETTING_PATH, port_file, "", "none", false,
              "File that receives the addresses served, one per line, once they are served; removed "
-             "at the end."),
+             "when morphod stops."),
 };
 const size_t settings_count = sizeof(settings_table) / sizeof(settings_table[0]);
 _Static_assert(sizeof(settings_table) / sizeof(settings_table[0]) <= SETTINGS_MAX,
