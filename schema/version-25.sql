@@ -1,5 +1,5 @@
--- Version 25: measures in atlases; campaigns score their best designs again, in fresh worlds; designs
--- know their certificates; trainings that finetune each of their designs alone.
+-- Version 25: measures in atlases; campaigns score their best designs again, in fresh worlds;
+-- designs know their certificates; training runs that finetune each of their designs alone.
 
 -- measures: of each body in the file, as bits (include/morpho/measure.h); 0: none.
 ALTER TABLE atlases ADD COLUMN measures INTEGER NOT NULL DEFAULT 0;
