@@ -115,7 +115,7 @@ static void check_singles(const struct scene *scene)
     double bound, restart_weight; /* 0: no bound; clipped */
     double looser;                /* times the bounds of errors */
   } kinds[] = {{60, 4, MO_INTEGRATOR_PAPER, 0, 0, 1},   {60, 0, MO_INTEGRATOR_PAPER, 0, 0, 1},
-               {60, 7, MO_INTEGRATOR_SPLIT, 0, 0, 2},   {60, 100, MO_INTEGRATOR_SPLIT, 0, 0, 1},
+               {60, 7, MO_INTEGRATOR_SPLIT, 0, 0, 2},   {60, 100, MO_INTEGRATOR_SPLIT, 0, 0, 2},
                {60, 4, MO_INTEGRATOR_PAPER, 0.1, 0, 1}, {60, 4, MO_INTEGRATOR_PAPER, 0.1, 2, 1},
                {60, 7, MO_INTEGRATOR_SPLIT, 0.1, 2, 1}, {120, 4, MO_INTEGRATOR_PAPER, 0, 0, 4}};
   struct mo_controller *controller = weights_of(CONTROLLER);

@@ -60,6 +60,10 @@ export function inWords(name, value) {
 const isGroup = (name, value) => value !== null && typeof value === 'object' &&
   !Array.isArray(value) && !WORDS[name];
 
+/** Returns a value as text that does not depend on the order of its members. */
+const inOrder = (value) => JSON.stringify(value,
+  value?.constructor === Object ? Object.keys(value).sort() : null);
+
 /**
  * Returns the settings as rows, in groups.
  * @param {any} settings
@@ -71,7 +75,7 @@ export function rowsOfSettings(settings, usual, path = []) {
   return Object.entries(settings).flatMap(([name, value]) => {
     const own = usual?.[name];
     if (isGroup(name, value)) return rowsOfSettings(value, own, [...path, name]);
-    const differs = own !== undefined && JSON.stringify(own) !== JSON.stringify(value);
+    const differs = own !== undefined && inOrder(own) !== inOrder(value);
     const group = path.join('.');
     return [{ group: GROUPS[group] ?? capital(path.join(': ').replaceAll('_', ' ')), name,
       path: [...path, name], title: titleOfSetting(name), text: inWords(name, value), value,
