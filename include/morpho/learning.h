@@ -116,8 +116,9 @@ struct mo_training_settings {
  *                MO_ADJOINT_RESTART above 8, weight 3. Only for pretraining: finetuning uses
  *                workstation's
  *   paper        1400 steps of 8192 by the paper's schedule; finetuning: 60; adjoint_bound 0
- *   robust       phototaxis, in worlds that vary: friction 0.33 to 1.33, the other factors 0.7 to
- *                1.3, drops to 0.2 m, slopes to 10 degrees. Only for pretraining, too */
+ *   robust       phototaxis, in worlds that vary: friction 0.33 to 1.33, actuation 0.8 to 1, the
+ *                other factors 0.8 to 1.2, drops to 0.1 m, slopes to 10 degrees. Only for
+ *                pretraining, too */
 enum mo_learning_preset {
   MO_LEARNING_PRESET_WORKSTATION = 0,
   MO_LEARNING_PRESET_PHOTOTAXIS = 1,

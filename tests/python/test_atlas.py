@@ -1,5 +1,6 @@
 """Atlas files without a service, against the answers of the C library and plain programs."""
 
+import hashlib
 import itertools
 import json
 import math
@@ -347,3 +348,21 @@ def test_compare(small, blocks, tmp_path):
     assert other.counts.shape == (5, 5) and len(other.edges) == len(other.other_edges) == 6
     with pytest.raises(AtlasError, match="workspaces"):
         atlas.compare(Atlas.open(blocks[0]))
+
+
+def test_the_atlases_that_come_with_morphod():
+    """They are whole, belong to the default controller, and have the digests in the document."""
+    data = pathlib.Path(__file__).resolve().parents[2] / "data"
+    text = (data.parent / "docs" / "atlas.md").read_text(encoding="utf-8")
+    controller = (data / "controllers" / "phototaxis-16ms.safetensors").read_bytes()
+    files = sorted((data / "atlases").glob("*.atlas"))
+    assert [file.stem for file in files] == [
+        f"{task}-7" for task in ("circle", "photo", "rough", "shuttle", "up", "walk")]
+    for file in files:
+        content = file.read_bytes()
+        assert f"`{hashlib.sha256(content).hexdigest()}`" in text and len(content) < 200_000
+        atlas = Atlas.open(file, check=True)
+        assert sum(atlas.sizes.values()) == 3822 and atlas.orientations == "canonical"
+        assert atlas.head.controller_sha256 == hashlib.sha256(controller).hexdigest()
+        best, n = atlas.score(int(atlas.best(1)[0])), len(atlas.optima())
+        assert f"| `{file.name}` | {best:.4f} | {n} |" in text
