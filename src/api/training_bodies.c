@@ -146,8 +146,8 @@ void mo_api_get_training_each(struct mo_request *request)
   struct mo_training_status status;
   struct mo_text text = {0};
   int64_t id, after = -1, limit = MO_PAGE_MAX;
-  if (!mo_path_job(request, &id) || !mo_query_number(request, "limit", 1, MO_PAGE_MAX, &limit) ||
-      !mo_query_cursor(request, &after))
+  if (!mo_query_number(request, "limit", 1, MO_PAGE_MAX, &limit) ||
+      !mo_query_cursor(request, &after) || !mo_path_job(request, &id))
     return;
   int error = mo_store_training(api->store, id, &status);
   if (error == MO_OK && !status.record.each) {

@@ -7,7 +7,9 @@
 
 #include "store/encode.h"
 
-#define MO_STATEMENTS_MAX 192
+/* More than the statements of this room, which a connection keeps once it has used them all:
+ * tests/lint/rooms.py counts. */
+#define MO_STATEMENTS_MAX 512
 
 struct mo_store;
 

@@ -15,7 +15,7 @@ SCORES = ("score", "best", "worst")
 def in_readme():
     """Returns the first command of README.md, and the lines of its output there."""
     text = (module.SOURCE / "README.md").read_text(encoding="utf-8")
-    command, *lines = re.search(r"```\n\$ (.*?)```\n\(On a processor with AVX2\.\)", text,
+    command, *lines = re.search(r"```\n\$ (.*?)```\n\(On a CPU with AVX2\.\)", text,
                                 re.S)[1].splitlines()
     return command, lines
 

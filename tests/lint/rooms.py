@@ -14,6 +14,9 @@ import circles
 import tap
 from circles import COMMENT, INCLUDE, circles_of, code_files
 
+MOST_STATEMENTS = re.compile(r"#define MO_STATEMENTS_MAX (\d+)")
+STATEMENT = re.compile(r"\bmo_sql_(?:do|find|row|rows|change|insert)(?:_with)?\(")
+
 # Rooms in order of dependence, with the external headers that each may use in addition to the C
 # library's.
 ROOMS = {
@@ -120,6 +123,17 @@ def headers_of(top):
     ]
 
 
+def statement_faults(top):
+    """A connection to the database must have room for all statements that it could keep."""
+    header = top / "src/store/sql.h"
+    if not header.is_file():
+        return []
+    most = int(MOST_STATEMENTS.search(header.read_text()).group(1))
+    count = sum(len(STATEMENT.findall(path.read_text())) for path in code_files(top / "src/store"))
+    return [f"src/store has up to {count} statements, more than {most}: raise MO_STATEMENTS_MAX"
+            ] if count > most else []
+
+
 def client_faults(top):
     faults = []
     for path in code_files(top / "clients"):
@@ -150,6 +164,7 @@ def report(top):
     results.append(("every folder of src is a room", strangers + unlisted))
     results.append(("private headers are short", headers_of(top)))
     results.append(("clients use only the HTTP API", client_faults(top)))
+    results.append(("a connection can keep all statements", statement_faults(top)))
     return results
 
 
@@ -166,6 +181,8 @@ def self_test():
         "a stranger": ("src/other/a.c", "\n"),
         "a circle": ("src/jobs/a.c", "int mo_a(void)\n{\n  return mo_b();\n}\n",
                      "src/jobs/b.c", "int mo_b(void)\n{\n  return mo_a();\n}\n"),
+        "many statements": ("src/store/sql.h", "#define MO_STATEMENTS_MAX 1\n",
+                            "src/store/a.c", 'mo_sql_do(c, "a");\nmo_sql_rows_with(c, "b");\n'),
         "a long header": ("src/jobs/a.h", "\n" * (HEADER_LINES + 1)),
     }
     missed = []
