@@ -335,7 +335,7 @@ static int more_lines(void *context, struct mo_text *text)
     mo_text_add(text, "\n");
   }
   if (!lines->headed && lines->shape.root >= 0) {
-    mo_text_format(text, "%lld,\"[none]\",0,inf,root,,,,,,,,,,,,,", (long long)lines->shape.root);
+    mo_text_format(text, "%lld,\"[none]\",0,inf,root,,,,,,,,,,,,,,", (long long)lines->shape.root);
     for (uint32_t m = 0; m < lines->words.n_measures; m++)
       mo_text_add(text, ",");
     mo_text_add(text, "\n");

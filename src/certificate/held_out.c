@@ -112,6 +112,8 @@ int mo_fresh_worlds(const struct mo_certificate_base *base, uint64_t seed, uint3
                     struct mo_environment *environments)
 {
   const struct mo_environment *tasks = base->environments;
+  if (mo_fresh_refuses(base) != NULL || mo_fresh_count(base, n) < n)
+    return MO_ERR_RANGE; /* the settings of an imported campaign */
   if (base->set == NULL) {
     mo_held_out_tasks(seed, n, tasks, base->n_environments, environments);
     for (uint32_t k = 0; k < n; k++) {

@@ -10,7 +10,7 @@ const char *mo_fresh_refuses(const struct mo_certificate_base *base);
 uint32_t mo_fresh_count(const struct mo_certificate_base *base, uint32_t wanted);
 /* Returns how the fresh worlds differ in kind from the base's, as a sentence; NULL: they do not. */
 const char *mo_fresh_kind(const struct mo_certificate_base *base);
-/* Fills in the first n. MO_ERR_NO_MEMORY. */
+/* Fills in the first n. MO_ERR_RANGE: there are none, or fewer; MO_ERR_NO_MEMORY. */
 int mo_fresh_worlds(const struct mo_certificate_base *base, uint64_t seed, uint32_t n,
                     struct mo_environment *environments);
 

@@ -10,8 +10,9 @@
 #include "base/fields.h"
 
 /* Every `every` generations, in the last one, and in one that is short of children, the elite is
- * scored in `environments` fresh worlds, which are new ones for each of these generations. The
- * elite: the best `designs` of the population, and its champions. */
+ * scored in `environments` fresh worlds, which are new ones for each of these generations; for a
+ * set of the suite, they are the first of its held-out worlds. The elite: the best `designs` of the
+ * population, and its champions. */
 struct mo_re_evaluation {
   uint32_t every;        /* 0: never; at most MO_GENERATIONS_MAX */
   uint32_t environments; /* 2 … MO_CERTIFICATE_HELD_OUT_MAX; 64 */

@@ -184,6 +184,7 @@ def test_a_phylogeny_for_trees(service, campaign):
     tree = service.table(path + "?format=csv&parents=first&root=1")
     assert tree[0]["id"] == str(len(plain)) and tree[0]["operator"] == "root"
     assert tree[0]["ancestor_list"] == "[none]" and len(tree) == len(plain) + 1
+    assert None not in tree[0].values(), "the root's line has fewer columns than the heading"
     for line, shown in zip(plain, tree[1:]):
         first = line["ancestor_list"].strip("[]").split(",")[0]
         assert shown == line | {

@@ -1,6 +1,7 @@
 /* trials.c: which trials a base has, and what each of them changes. */
 #include "fixture.h"
 
+#include "certificate/held_out.h"
 #include "world/environment.h"
 #include "world/factors.h"
 
@@ -428,6 +429,19 @@ static void omitted_by_worlds(void)
   CHECK(mo_certificate_omits(&settings, &base, MO_AXIS_DRAG) == NULL); /* not asked for */
 }
 
+/* The settings of an imported campaign may ask for worlds that nobody checked. */
+static void held_out_that_do_not_exist(void)
+{
+  static struct mo_environment environments[1024];
+  struct mo_certificate_base base = {.set = "morpho-12-walk"};
+  CHECK_OK(mo_fresh_worlds(&base, 1, 64, environments));
+  CHECK_INT(mo_fresh_worlds(&base, 1, 65, environments), MO_ERR_RANGE);
+  base.set = "morpho-12-walk-held-out";
+  CHECK_INT(mo_fresh_worlds(&base, 1, 2, environments), MO_ERR_RANGE);
+  base.set = "paper-test";
+  CHECK_OK(mo_fresh_worlds(&base, 1, 1024, environments));
+}
+
 static const struct check_case cases[] = {
     {"all axes and levels, in order", all_axes},
     {"only the axes that are asked for", chosen_axes},
@@ -438,6 +452,7 @@ static const struct check_case cases[] = {
     {"a level computes what physics edited by hand does", levels_have_their_effect},
     {"held out: sets", held_out_of_sets},
     {"held out: lists", held_out_of_lists},
+    {"held out: worlds that do not exist", held_out_that_do_not_exist},
     {"held out: every world of trainings is accepted", training_worlds_are_accepted},
     {"axes that do not apply", omitted},
     {"axes that do not apply to the worlds", omitted_by_worlds},
