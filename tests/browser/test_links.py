@@ -252,7 +252,8 @@ def test_forms_say_what_they_leave_open(service, browser):
     browser.click("Cancel", "dialog button")
     browser.click("New training")
     browser.until("document.querySelector('dialog[open] [name=steps]')")
-    steps = re.search(r"Number of learning steps. Default: (\d+), or (\d+) for", contract).groups()
+    steps = re.search(r"Number of learning steps, .*Default: (\d+), or (\d+) for",
+                      contract).groups()
     batches = re.search(r"environment. Default: from the preset, (\d+) or (\d+)", contract).groups()
     for kind, n in zip(("pretrain", "finetune"), steps):
         for preset, batch in (("workstation", batches[0]), ("paper", batches[1])):
