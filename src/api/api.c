@@ -19,6 +19,9 @@ static const struct mo_route table[] = {
 #define TABLE(PATH, HANDLER, QUERY, COLUMNS)                                                       \
   {PATH,          MO_GET, mo_api_get_table, MO_RIGHT_READ, MO_ROUTE_LIST | MO_ROUTE_VARY,          \
    MO_BODY_SMALL, QUERY},
+#define HEAVY_TABLE(PATH, HANDLER, QUERY, COLUMNS)                                                 \
+  {PATH,          MO_GET, mo_api_get_table, MO_RIGHT_READ, MO_ROUTE_HEAVY | MO_ROUTE_VARY,         \
+   MO_BODY_SMALL, QUERY},
 #include "api/routes.inc"
 };
 _Static_assert(sizeof(table) / sizeof(table[0]) <= MO_ROUTES_MAX, "metrics count by route");

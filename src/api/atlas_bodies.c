@@ -36,21 +36,6 @@ static void write_losses(struct mo_text *text, const struct mo_atlas_use *use, u
   mo_members_losses(text, losses, n, environments, NULL);
 }
 
-/* Writes the percentiles of the measures among the bodies of the size, if the atlas has some. */
-static void write_percentiles(struct mo_text *text, const struct mo_atlas_use *use,
-                              uint64_t position)
-{
-  const uint32_t set = mo_atlas_source_of(use->atlas)->measures;
-  if (set == 0)
-    return;
-  mo_text_open(text, "measures", "{");
-  for (int m = 0; m < MO_MEASURES; m++)
-    if (set >> m & 1)
-      mo_text_member_number(text, mo_measure_info[m].name,
-                            mo_atlas_measure_percentile(use->atlas, position, (enum mo_measure)m));
-  mo_text_add(text, "}");
-}
-
 static void write_of_size(struct mo_text *text, const struct mo_atlas_use *use, uint64_t position)
 {
   const struct mo_atlas_rank rank = mo_atlas_rank_of(use->index, position, true);
@@ -58,7 +43,7 @@ static void write_of_size(struct mo_text *text, const struct mo_atlas_use *use, 
   mo_text_member_count(text, "rank", rank.better + 1);
   mo_text_member_count(text, "bodies", rank.better + rank.equal + 1 + rank.worse);
   mo_text_member_number(text, "percentile", rank.percentile);
-  write_percentiles(text, use, position);
+  mo_atlas_member_measures(text, use, position, true);
   mo_text_add(text, "}");
 }
 

@@ -225,16 +225,23 @@ static void member_score(struct mo_text *text, const char *name, float score)
   mo_text_json_float(text, score);
 }
 
-static void write_measures(struct mo_text *text, const struct mo_atlas_use *use, uint64_t position)
+void mo_atlas_member_measures(struct mo_text *text, const struct mo_atlas_use *use,
+                              uint64_t position, bool as_percentiles)
 {
   const uint32_t set = mo_atlas_source_of(use->atlas)->measures;
   if (set == 0)
     return;
   mo_text_open(text, "measures", "{");
-  for (int m = 0; m < MO_MEASURES; m++)
-    if (set >> m & 1)
-      member_score(text, mo_measure_info[m].name,
-                   mo_atlas_measure(use->atlas, position, (enum mo_measure)m));
+  for (int m = 0; m < MO_MEASURES; m++) {
+    const enum mo_measure measure = (enum mo_measure)m;
+    if ((set >> m & 1) == 0)
+      continue;
+    if (as_percentiles)
+      mo_text_member_number(text, mo_measure_info[m].name,
+                            mo_atlas_measure_percentile(use->atlas, position, measure));
+    else
+      member_score(text, mo_measure_info[m].name, mo_atlas_measure(use->atlas, position, measure));
+  }
   mo_text_add(text, "}");
 }
 
@@ -252,7 +259,7 @@ void mo_atlas_write_body(struct mo_text *text, const struct mo_atlas_use *use, u
   mo_text_member_bool(text, "diverged", !isfinite(score));
   mo_text_member_count(text, "rank", rank.better + 1);
   mo_text_member_number(text, "percentile", rank.percentile);
-  write_measures(text, use, position);
+  mo_atlas_member_measures(text, use, position, false);
 }
 
 void mo_atlas_member_body(struct mo_text *text, const char *name, const struct mo_atlas_use *use,

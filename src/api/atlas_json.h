@@ -43,6 +43,10 @@ void mo_atlas_write_body(struct mo_text *text, const struct mo_atlas_use *use, u
 void mo_atlas_member_body(struct mo_text *text, const char *name, const struct mo_atlas_use *use,
                           uint64_t position);
 void mo_atlas_item_body(struct mo_text *text, const struct mo_atlas_use *use, uint64_t position);
+/* Writes a body's measures as a member, or their percentiles among the bodies of its size, if the
+ * atlas has some. */
+void mo_atlas_member_measures(struct mo_text *text, const struct mo_atlas_use *use,
+                              uint64_t position, bool as_percentiles);
 /* Writes an array of scores, such as edges, as a member. */
 void mo_atlas_member_floats(struct mo_text *text, const char *name, const float *values, size_t n);
 
