@@ -22,7 +22,8 @@ function badgeOf({ id, class: verdict }, of = '') {
   const [kind, about] = CLASSES[verdict] ?? ['', 'an earlier version computed the certificate'];
   loadSheet('certificate.css');
   return h(`a.badge${kind && `.${kind}`}`, { href: `#/certificates/${id}`, title:
-    `Certificate ${id}: ${about}` }, of, verdict?.replace('_', ' ') ?? 'certificate');
+    `Certificate ${id}: ${about}` }, of,
+  verdict ? `certificate: ${verdict.replace('_', ' ')}` : 'certificate');
 }
 
 /** Returns the mean in fresh worlds, with its interval. */
@@ -52,7 +53,7 @@ export async function markStage(player, robots, signal) {
   if (signal?.aborted) return;
   const badges = designs.map((design, i) => {
     const certificate = design?.orientations.find(({ robot }) => robot === names[i])?.certificate;
-    return certificate ? badgeOf(certificate, `${nameOf(names[i])}: `) : null;
+    return certificate ? badgeOf(certificate, `${nameOf(names[i])}, `) : null;
   }).filter(Boolean);
   player.badges ??= h('div.row.known');
   fill(player.badges, badges);
