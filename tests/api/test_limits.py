@@ -230,6 +230,8 @@ def test_idle_connections_give_way_oldest_first(start):
     working = streams(service, 20)
     waiting = service.connection()
     waiting.request("GET", f"/v1/jobs/{endless(service)}", headers={"Prefer": "wait=60"})
+    # The connections that submitted the job are closed, or the first would give way to the last.
+    until(lambda: service.metric("morphod_http_connections", connection=used) == 1 + 20 + 1)
     idle = [dial(service) for _ in range(34)]
     until(lambda: service.metric("morphod_http_connections", connection=used) == 1 + 20 + 1 + 34)
     for _ in range(30):
