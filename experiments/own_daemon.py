@@ -59,6 +59,21 @@ def add_options(parser, *rows):
             parser.add_argument(name, choices=kind, default=usual, help=text)
 
 
+def range_of(text):
+    """Returns the name and the range of NAME=LOW:HIGH."""
+    name, _, ends = text.partition("=")
+    low, _, high = ends.partition(":")
+    try:
+        return name, [float(low), float(high)]
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"'{text}' is not NAME=LOW:HIGH") from error
+
+
+def add_vary(parser, text):
+    parser.add_argument("--vary", type=range_of, action="append", metavar="NAME=LOW:HIGH",
+                        help=text)
+
+
 def parser_of(benchmark, description):
     """Returns a parser with the options of the daemon: where it is and where it keeps its state."""
     parser = argparse.ArgumentParser(prog=f"tools/bench {benchmark}",

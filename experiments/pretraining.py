@@ -55,13 +55,6 @@ def physics_of(arguments):
     }
 
 
-def range_of(text):
-    """Returns the name and the range of NAME=LOW:HIGH."""
-    name, _, ends = text.partition("=")
-    low, _, high = ends.partition(":")
-    return name, [float(low), float(high)]
-
-
 # With a preset, the settings of these options are the preset's.
 OF_RECIPE = ("schedule", "peak", "floor", "decay", "warmup", "cycle", "growth", "bound", "rule",
              "restart_weight", "beta1", "beta2", "epsilon", "impact", "integrator", "dt_ms",
@@ -72,6 +65,9 @@ def request_of(arguments, seed):
     body = settings_of(arguments, seed)
     if arguments.vary:
         body["vary"] = dict(arguments.vary)
+    if arguments.from_default:
+        body["controller"] = "default"
+        body.pop("sensor", None)  # the controller's
     body["name"] = f"pretraining-{hashlib.sha256(recipe_of(body).encode()).hexdigest()[:12]}-{seed}"
     return body
 
@@ -105,6 +101,8 @@ def recipe_of(body):
     """Returns the recipe as one line without commas: always schedule, bound and size, and whatever
     differs from the usual."""
     varied = [f"{name} {low:g}..{high:g}" for name, (low, high) in body.get("vary", {}).items()]
+    if "controller" in body:
+        varied.append("from default")
     if "preset" in body:
         return " ".join([body["preset"], *varied]) + f" / {body['batch']} x {body['steps']}"
     schedule = body["schedule"]
@@ -133,7 +131,8 @@ def recipe_of(body):
     words += [
         word for word, usual_word in ((body["physics"]["integrator"], "paper"),
                                       (body["physics"]["impact"], "exact"),
-                                      (body["sensor"], "inverse_sqrt")) if word != usual_word
+                                      (body.get("sensor", "inverse_sqrt"), "inverse_sqrt"))
+        if word != usual_word
     ]
     return " ".join(words + varied) + f" / {body['batch']} x {body['steps']}"
 
@@ -398,7 +397,8 @@ def options():
         ("--validation-designs", int, 256, "held-out bodies (default 256)"),
         ("--validation-environments", int, 8, "held-out environments of each (default 8)"),
         ("--preset", ("workstation", "phototaxis", "paper", "robust"), None,
-         "all settings but steps and batch; only --vary goes with it"),
+         "all settings but steps and batch; only --vary and --from-default go with it"),
+        ("--from-default", bool, False, "start with the default controller's weights"),
         own_daemon.ROLLOUT_STEPS, own_daemon.LIMIT,
         ("--csv", Path, Path("pretraining.csv"), "read at the start, rewritten with new rows"),
         ("--svg", Path, Path("pretraining.svg"), None),
@@ -407,8 +407,7 @@ def options():
          "page that gets the table, between the markers pretraining: begin and end"),
         ("--report", bool, False,
          "run nothing: only make the table and the drawing from the CSV file"))
-    parser.add_argument("--vary", type=range_of, action="append", metavar="NAME=LOW:HIGH",
-                        help="range of what varies in the worlds; can be repeated")
+    own_daemon.add_vary(parser, "range of what varies in the worlds; can be repeated")
     return parser
 
 

@@ -110,6 +110,11 @@ def test_pretraining(tmp_path):
     assert recipes == {"one cosine 0.002..1e-05 bound 0.1 restart 3 lives of 30 / 8 x 6"}
     assert trainings(tmp_path / "again", "SELECT settings->>'adjoint_rule',"
                      " settings->>'restart_weight' FROM runs") == [("restart", 3)]
+    # Worlds that vary, and a start with the weights of another controller, too.
+    bench("pretraining", *PRETRAINING, "--seeds=1", "--vary=friction=0.5:1", "--from-default",
+          *ON_DEVICE, *pretraining_in(tmp_path / "from"))
+    assert {row["recipe"] for row in rows(tmp_path / "from" / "p.csv")} == {
+        "one cosine 0.002..1e-05 bound 2 lives of 30 friction 0.5..1 from default / 8 x 6"}
     refused = bench("pretraining", "--peak=2", *ON_DEVICE, *pretraining_in(tmp_path / "refused"),
                     status=1)
     assert "/schedule/peak" in refused.stderr
@@ -191,6 +196,37 @@ def test_model_card(tmp_path):
     bench("model_card", *arguments)
     assert page.read_text() == first.replace("## Known limits\n",
                                              "## Known limits\nIt cannot fly.\n")
+
+
+def test_robustness(tmp_path):
+    other = SOURCE / "data" / "controllers" / "phototaxis-16ms.safetensors"
+    arguments = (BOOTSTRAP, other, "--bodies=3", "--rollout-steps=20", "--campaigns",
+                 "--population=12", "--generations=1", "--vary=friction=0.5:1", "--aggregate=cvar",
+                 f"--morphod={BINARY}", "--devices=none")
+
+    files = (f"--state={tmp_path / 'state'}", f"--csv={tmp_path / 'r.csv'}",
+             f"--svg={tmp_path / 'r.svg'}")
+    bench("robustness", *arguments, *files, "--limit-s=0.5", status=CUT_OFF)
+    printed = bench("robustness", *arguments, *files).stdout
+    found = rows(tmp_path / "r.csv")
+    assert len(found) == 2 * 2 * 18 and is_svg(tmp_path / "r.svg")
+    for one, two in zip(found[::2], found[1::2]):
+        assert (one["controller"], two["controller"]) == ("bootstrap", "phototaxis-16ms")
+        assert float(one["difference"]) == 0 and float(two["difference"]) == pytest.approx(
+            float(two["mean"]) - float(one["mean"]), abs=2e-6)
+        assert (two["half_width"] == "") == (two["who"] == "champions")
+    # Each kind of world has scores of its own.
+    bodies = [row["mean"] for row in found if (row["who"], row["controller"]) == (
+        "bodies", "bootstrap")]
+    assert len(set(bodies)) == 18
+    assert "| slope 10° |" in printed and "| all at once, 64 worlds |" in printed
+    assert "**3 random bodies**" in printed and "The 10 best bodies" in printed
+    page = tmp_path / "page.md"
+    again = bench("robustness", "--report", *NO_DAEMON, *files, f"--markdown={page}").stdout
+    assert again == printed and printed.strip() in page.read_text()
+    refused = bench("robustness", BOOTSTRAP, BOOTSTRAP, *NO_DAEMON, *files, status=2)
+    assert "have the same name" in refused.stderr
+    assert "NAME=LOW:HIGH" in bench("robustness", "--vary=friction", status=2).stderr
 
 
 def first_address(process, folder):
