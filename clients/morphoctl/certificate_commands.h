@@ -19,6 +19,7 @@ static const struct option_spec certify_options[] = {
      "With --campaign or --evaluation: number of the best designs, 1 to 256 (default: 20)."},
     RULES(""),
     {CONTROLLER},
+    {TASK},
     {ENVIRONMENTS},
     {PHYSICS},
     {"axes", 0, "LIST",

@@ -49,7 +49,7 @@ static void choose_environment(struct ctl *ctl, json_t *request)
     fail(STATUS_USAGE, "film needs a set or a list of environments; evaluate in the varied ones, "
                        "and film that evaluation");
   if (!json_is_array(listed)) {
-    const char *set = escape(option_text(ctl, "environments", "paper-test"));
+    const char *set = escape(listed != NULL ? json_string_value(listed) : "paper-test");
     listed = json_object_get(get_json(ctl, "/v1/environment-sets/%s", set), "items");
   }
   json_t *chosen = json_array_get(listed, (size_t)option_environment(ctl));

@@ -6,9 +6,10 @@
 #include "commands.h"
 #include "results.h"
 
-static const char *const tasks[] = {"photo",  "photo-auc", "walk",   "rough",   "up",   "down",
-                                    "hurdle", "gap",       "circle", "shuttle", "path", "damage"};
-enum { TASKS = sizeof(tasks) / sizeof(*tasks) };
+const char *const suite_tasks[] = {"photo", "photo-auc", "walk", "rough",  "up",
+                                   "down",  "hurdle",    "gap",  "circle", "shuttle",
+                                   "path",  "damage",    NULL};
+enum { TASKS = sizeof(suite_tasks) / sizeof(*suite_tasks) - 1 };
 
 /* Returns the mean of the numbers that rows have at a place, or null; *n: how many have one. */
 static json_t *mean_of(const json_t *rows, const char *place, size_t *n)
@@ -37,8 +38,8 @@ static json_t *make_means(const json_t *rows, size_t *fewest)
   *fewest = json_array_size(rows);
   for (int t = 0; t < TASKS; t++) {
     json_object_set_new(
-        values, tasks[t],
-        json_pack("{s:o}", "value", mean_of(rows, path_to("tasks.%s.value", tasks[t]), &n)));
+        values, suite_tasks[t],
+        json_pack("{s:o}", "value", mean_of(rows, path_to("tasks.%s.value", suite_tasks[t]), &n)));
     *fewest = n < *fewest ? n : *fewest;
   }
   return json_pack("{s:s, s:o, s:{s:o}}", "robot", "mean", "tasks", values, "tasks_mean", "loss",
@@ -66,7 +67,7 @@ static void print_suite(struct ctl *ctl, const json_t *evaluation)
   json_decref(means);
   for (int t = 0; t < TASKS; t++)
     snprintf(columns + strlen(columns), sizeof(columns) - strlen(columns),
-             "|>%s=[{tasks.%s.value:.3f}]", tasks[t], tasks[t]);
+             "|>%s=[{tasks.%s.value:.3f}]", suite_tasks[t], suite_tasks[t]);
   snprintf(columns + strlen(columns), sizeof(columns) - strlen(columns),
            "|>mean loss=[{tasks_mean.loss:.3f}]");
   print_table(stdout, ctl, rows, columns);

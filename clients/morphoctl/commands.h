@@ -17,8 +17,9 @@
 /* Adds --schedule, a name or a kind, at its place. Options of a kind need --schedule. Call it
  * before request_fill. */
 void fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
-/* Adds the given options of the command that have a place, --physics and --environments to the
- * request. The server checks bounds and reports them. */
+extern const char *const suite_tasks[]; /* of morpho-12, NULL after the last; cmd_suite.c */
+/* Adds the given options of the command that have a place, --physics, and --environments or --task
+ * to the request. The server checks bounds and reports them. */
 void request_fill(const struct ctl *ctl, json_t *request);
 /* Adds as "record" the channels of --record, else `usual` (nullable), and the masses for --film. */
 void request_fill_record(const struct ctl *ctl, json_t *request, const char *usual);

@@ -293,6 +293,12 @@ static bool is_set(const char *name)
 static void fill_environments(const struct ctl *ctl, json_t *request)
 {
   const char *name = option_text(ctl, "environments", NULL);
+  const char *task = option_word(ctl, "task", suite_tasks, NULL);
+  if (name != NULL && task != NULL)
+    fail(STATUS_USAGE, "give --task or --environments, not both");
+  /* An atlas has a field for it. */
+  if (task != NULL && json_object_get(request, "task") == NULL)
+    name = keep(format_text("morpho-12-%s", task));
   if (name == NULL)
     return;
   if (is_set(name)) {

@@ -17,6 +17,10 @@
       "paper-test (default), a set of morpho-12 such as morpho-12-walk, or a JSON file with a "    \
       "list "                                                                                      \
       "of environments; - is standard input."
+#define TASK                                                                                       \
+  "task", 't', "TASK",                                                                             \
+      "A task of the suite morpho-12, such as walk, in its ten worlds to select with: short for "  \
+      "-e morpho-12-TASK."
 #define WEIGHT                                                                                     \
   "weight", 0, "X",                                                                                \
       "Share of the cores relative to other batch jobs, 0.001 to 1000 (default: 1).", "weight",    \

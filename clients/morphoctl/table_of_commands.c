@@ -8,6 +8,7 @@
 
 static const struct option_spec eval_options[] = {
     {CONTROLLER},
+    {TASK},
     {ENVIRONMENTS},
     {PHYSICS},
     {PRECISION},
@@ -53,6 +54,7 @@ static const struct option_spec eval_options[] = {
     {NULL}};
 static const struct option_spec verify_options[] = {
     {CONTROLLER},
+    {TASK},
     {ENVIRONMENTS},
     {PHYSICS},
     {PRECISION},
@@ -95,7 +97,7 @@ static const struct option_spec export_options[] = {
      "phylogenies."},
     {NULL}};
 #define WALKERS                                                                                    \
-  {CONTROLLER}, {ENVIRONMENTS},                                                                    \
+  {CONTROLLER}, {TASK}, {ENVIRONMENTS},                                                            \
       {"environment", 0, "N", "Which of the environments, from 0 (default: 0)."}, {PHYSICS},       \
       {"random", 0, "N", "Draw N random bodies in addition to the given ones."},                   \
       {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},                              \
@@ -228,6 +230,7 @@ static const struct option_spec campaign_start_options[] = {
      "A name or sha256:<64 digits>; random: random weights (default: default; simultaneous: "
      "random).",
      "controller"},
+    {TASK},
     {ENVIRONMENTS},
     RULES("initial."),
     {"from", 0, "CAMPAIGN",

@@ -52,6 +52,10 @@ def test_films(ctl, tmp_path):  # noqa: F811
     assert head == b"YUV4MPEG2 W96 H64 F25000:1000 Ip A1:1 C444\n"
     assert len(frames) == 31 and {len(frame) for frame in frames} == {96 * 64 * 3}
     assert frames[0] != frames[5]
+    for where in ("-t walk", "-e morpho-12-walk"):
+        assert ctl(f"film {SMALL} {where} --output", str(tmp_path / f"{where[1]}.y4m"), CELLS)[0] == 0
+    walk = (tmp_path / "t.y4m").read_bytes()
+    assert walk == (tmp_path / "e.y4m").read_bytes() != stream.read_bytes()
     assert ctl(f"film {SMALL} --rate 5 --light --output", f"{folder}/", CELLS)[0] == 0
     assert sorted(path.name for path in folder.iterdir()) == [f"{n:05}.png" for n in range(6)]
     assert png_size((folder / "00000.png").read_bytes()) == (96, 64)

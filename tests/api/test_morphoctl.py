@@ -368,6 +368,22 @@ def test_environments_of_a_file(ctl, tmp_path):
     assert len(json.loads(out)["results"][0]["losses"]) == 2
 
 
+def test_a_task_by_its_name(ctl):
+    """--task TASK is short for the set of the suite."""
+    one, other = (ctl(f"eval {SHORT} --json {where}", input_text=CELLS)
+                  for where in ("-t walk", "-e morpho-12-walk"))
+    one, other = json.loads(one[1]), json.loads(other[1])
+    assert one["environments"] == "morpho-12-walk" and one["results"] == other["results"]
+    status, _, err = ctl(f"eval {SHORT} --task walk -e paper-test", input_text=CELLS)
+    assert status == 2 and "--task or --environments, not both" in err
+    status, _, err = ctl(f"eval {SHORT} --task climb", input_text=CELLS)
+    assert status == 2 and "photo, photo-auc, walk, rough" in err and "damage" in err
+    status, out, err = ctl("campaign start zero-shot --task up --population 4 --generations 0 "
+                           f"{SHORT} --json --no-exclusions")
+    assert status == 0, err
+    assert json.loads(out)["settings"]["environments"] == "morpho-12-up"
+
+
 def test_status(ctl):
     status, out, _ = ctl("status")
     assert status == 0 and re.search(r"^ready +yes", out, re.M), out

@@ -105,7 +105,7 @@ def test_what_is_sent(service, ctl, certified):
     status, out, err = ctl(
         f"certify {certified[0]} --json --axes held_out,worlds --held-out 3 --worlds 4 --chance 5 "
         "--levels 0.5,2 --ranges friction=0.5:1.5 --ranges mass=0.9:1.1 --top 2 --seed 7 "
-        "--environments morpho-12-walk --physics n_steps=20 --weight 2 --experiment certificates")
+        "--task walk --physics n_steps=20 --weight 2 --experiment certificates")
     assert status == 0, err
     job = json.loads(out)
     settings = job["certificate"]
