@@ -6,11 +6,6 @@
 #include "commands.h"
 #include "results.h"
 
-const char *const suite_tasks[] = {"photo", "photo-auc", "walk", "rough",  "up",
-                                   "down",  "hurdle",    "gap",  "circle", "shuttle",
-                                   "path",  "damage",    NULL};
-enum { TASKS = sizeof(suite_tasks) / sizeof(*suite_tasks) - 1 };
-
 /* Returns the mean of the numbers that rows have at a place, or null; *n: how many have one. */
 static json_t *mean_of(const json_t *rows, const char *place, size_t *n)
 {
@@ -36,7 +31,7 @@ static json_t *make_means(const json_t *rows, size_t *fewest)
   json_t *values = json_object();
   size_t n;
   *fewest = json_array_size(rows);
-  for (int t = 0; t < TASKS; t++) {
+  for (int t = 0; t < SUITE_TASKS; t++) {
     json_object_set_new(
         values, suite_tasks[t],
         json_pack("{s:o}", "value", mean_of(rows, path_to("tasks.%s.value", suite_tasks[t]), &n)));
@@ -48,7 +43,7 @@ static json_t *make_means(const json_t *rows, size_t *fewest)
 
 static void print_suite(struct ctl *ctl, const json_t *evaluation)
 {
-  char columns[TASKS * 56 + 160] = "design=[{robot}|skipped]";
+  char columns[SUITE_TASKS * 56 + 160] = "design=[{robot}|skipped]";
   const json_t *results = json_object_get(evaluation, "results"), *result;
   size_t left_out = 0, fewest, i;
   if (ctl->json) {
@@ -65,7 +60,7 @@ static void print_suite(struct ctl *ctl, const json_t *evaluation)
   if (n > 1)
     json_array_append(rows, means);
   json_decref(means);
-  for (int t = 0; t < TASKS; t++)
+  for (int t = 0; t < SUITE_TASKS; t++)
     snprintf(columns + strlen(columns), sizeof(columns) - strlen(columns),
              "|>%s=[{tasks.%s.value:.3f}]", suite_tasks[t], suite_tasks[t]);
   snprintf(columns + strlen(columns), sizeof(columns) - strlen(columns),

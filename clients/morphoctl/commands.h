@@ -17,9 +17,9 @@
 /* Adds --schedule, a name or a kind, at its place. Options of a kind need --schedule. Call it
  * before request_fill. */
 void fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
-extern const char *const suite_tasks[]; /* of morpho-12, NULL after the last; cmd_suite.c */
-/* Adds the given options of the command that have a place, --physics, and --environments or --task
- * to the request. The server checks bounds and reports them. */
+#define SUITE_TASKS 12
+extern const char *const suite_tasks[SUITE_TASKS + 1]; /* of morpho-12, NULL after the last */
+/* Adds the given options that have a place, --physics, --environments or --task. */
 void request_fill(const struct ctl *ctl, json_t *request);
 /* Adds as "record" the channels of --record, else `usual` (nullable), and the masses for --film. */
 void request_fill_record(const struct ctl *ctl, json_t *request, const char *usual);

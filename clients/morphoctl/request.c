@@ -284,6 +284,10 @@ struct designs given_designs(struct ctl *ctl, size_t first, const json_t *random
   return designs;
 }
 
+const char *const suite_tasks[SUITE_TASKS + 1] = {"photo", "photo-auc", "walk", "rough",  "up",
+                                                  "down",  "hurdle",    "gap",  "circle", "shuttle",
+                                                  "path",  "damage",    NULL};
+
 static bool is_set(const char *name)
 {
   return strcmp(name, "paper-test") == 0 || strcmp(name, "morpho-12") == 0 ||

@@ -53,7 +53,8 @@ def test_films(ctl, tmp_path):  # noqa: F811
     assert len(frames) == 31 and {len(frame) for frame in frames} == {96 * 64 * 3}
     assert frames[0] != frames[5]
     for where in ("-t walk", "-e morpho-12-walk"):
-        assert ctl(f"film {SMALL} {where} --output", str(tmp_path / f"{where[1]}.y4m"), CELLS)[0] == 0
+        film = tmp_path / f"{where[1]}.y4m"
+        assert ctl(f"film {SMALL} {where} --output", str(film), CELLS)[0] == 0
     walk = (tmp_path / "t.y4m").read_bytes()
     assert walk == (tmp_path / "e.y4m").read_bytes() != stream.read_bytes()
     assert ctl(f"film {SMALL} --rate 5 --light --output", f"{folder}/", CELLS)[0] == 0
