@@ -82,6 +82,7 @@ export async function mount(main, path, parameters, app) {
       : [resultOf({ ...scored, loss: scored.mean }), `: ${task.title}`];
     fill(about, h('h2', {}, h('a', { href: link, title: robot }, nameOf(robot))),
       h('p.muted', {}, h('code', {}, shortOf(robot)), `, ${voxels(n)}`),
+      h('p.muted', {}, origin),
       h('p.way', {}, scored ? [h('strong', {}, figure), rest] : 'Scoring…'),
       !scored ? null : h('p.muted', {}, isPhoto
         ? `Score ${score(scored.mean)}: the distance to the ` +
@@ -89,8 +90,7 @@ export async function mount(main, path, parameters, app) {
           'environments. 0 means that it reached the light, 1 that it got no closer; lower is ' +
           'better.'
         : `Score: ${worldWords(task)}; ${betterOf(scored.unit)}.`));
-    fill(notes, h('p', {}, origin), here === undefined ? null
-      : h('p', {}, 'In the environment shown: ', isPhoto
+    fill(notes, here === undefined ? null : h('p', {}, 'In the environment shown: ', isPhoto
         ? wayOf(here.loss).join('').replace(/\.?$/, '.') : `${resultOf(here)}.`));
   }
 
