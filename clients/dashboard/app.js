@@ -273,7 +273,11 @@ class Frame {
     history.scrollRestoration = 'manual'; // the page fills up after the browser would have scrolled
     addEventListener('scroll', () => {
       clearTimeout(this.scrolled);
-      if (this.view) this.scrolled = setTimeout(() => app.remember({ scrollY }), SCROLL_MS);
+      const { hash } = location;
+      // Going back changes the entry before its event is sent.
+      if (this.view) this.scrolled = setTimeout(() => {
+        if (location.hash === hash) app.remember({ scrollY });
+      }, SCROLL_MS);
     }, { passive: true });
     document.querySelector('#toast button').addEventListener('click', () => announce(''));
   }
@@ -399,7 +403,8 @@ class Frame {
   #arrive() {
     const heading = this.main.querySelector('h1');
     heading?.setAttribute('tabindex', '-1');
-    heading?.focus({ preventScroll: true });
+    // A field may have the focus already, if the view was shown before all of it had loaded.
+    if (!this.main.contains(document.activeElement)) heading?.focus({ preventScroll: true });
   }
 
   /** Starts to follow events, once. Views load after that, so that they miss no change. */

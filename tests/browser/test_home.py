@@ -9,7 +9,7 @@ from contract import SOURCE
 from service import run
 
 SHIPPED = "00e4402ef444a4aeacaacc60ecaee0000000@7"
-SCORED = "/^Score 0/.test(document.querySelectorAll('.about p')[2]?.innerText)"
+SCORED = "/^Score 0/.test([...document.querySelectorAll('.about p')].at(-1)?.innerText)"
 SHOWN = """
 const { player } = document.querySelector('.stage');
 const [robot] = player.stage.robots;
@@ -172,6 +172,7 @@ def test_jumping_by_keyboard(service, browser):
     keys("?")
     browser.until("document.querySelector('dialog h2')?.innerText === 'Keyboard shortcuts'")
     keys(Keys.ESCAPE)
+    browser.until("!document.querySelector('dialog')")
     browser.run("location.hash = '#/runs'")
     browser.until("document.querySelector('h1')?.innerText === 'Runs'")
     browser.run("document.querySelector('input[type=search]').focus()")

@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import time
 
 import pytest
 
@@ -111,6 +112,35 @@ def test_back_leads_to_where_one_was(service, browser):
     browser.until(f"{HEADING} === 'Designs' && scrollY === 300")
     assert browser.run("return document.querySelectorAll('[aria-pressed=true]').length") == 3
     assert browser.run("return document.querySelectorAll('dialog').length") == 0
+
+
+def test_a_late_timer_leaves_other_entries_alone(browser):
+    """Going back changes the entry of the history before the page learns of it."""
+    browser.open("designs")
+    browser.run("document.body.style.minHeight = '3000px'; scrollTo(0, 40)")
+    browser.until("history.state?.scrollY === 40")
+    browser.run("scrollTo(0, 50);"
+                "addEventListener('scroll', () => requestAnimationFrame(() =>"
+                " history.pushState({ scrollY: 300 }, '', '#/runs')), { once: true });"
+                "setTimeout(() => { window.isLate = true; }, 1000)")
+    browser.until("window.isLate && location.hash === '#/runs'")
+    assert browser.run("return history.state.scrollY") == 300
+
+
+def test_a_field_keeps_the_focus(browser):
+    """It can be used before its page has loaded."""
+    browser.open("machines")
+    browser.until(f"{HEADING} === 'Machines'")
+    browser.run("const { fetch } = window; const held = []; window.release = () => {"
+                " window.fetch = fetch; held.forEach((go) => go()); };"
+                "window.fetch = (url, ...all) => !/jobs/.test(url) ? fetch(url, ...all)"
+                " : new Promise((resolve) => held.push(() => resolve(fetch(url, ...all))));"
+                "location.hash = '#/runs'")
+    browser.until("document.querySelector('input[type=search]')")
+    browser.run("document.querySelector('input[type=search]').focus(); release()")
+    browser.until("document.querySelector('main tbody tr')")
+    time.sleep(0.3)  # the heading gets the focus after that, if nothing has it
+    assert browser.run("return document.activeElement.type") == "search"
 
 
 def test_tabs_are_named(service, browser):
