@@ -197,14 +197,18 @@ uint32_t mo_certificate_top(const struct mo_certificate_settings *settings, uint
 #define MO_VERDICT_RANKS                                                                           \
   0.1 /* a rank that moves by at most this share of the designs, or by 1, is                       \
          roughly kept */
-#define MO_VERDICT_HOLDS  0.8 /* with this tau or more, an order holds */
-#define MO_VERDICT_PARTLY 0.5 /* with this tau or more, it holds in part */
+/* An order holds if the interval of tau is at or above the first, and at least in part if it is at
+ * or above the second; it does not hold if the interval is below the second. Otherwise, and with
+ * fewer designs than MO_VERDICT_DESIGNS, it is undetermined. */
+#define MO_VERDICT_HOLDS   0.8
+#define MO_VERDICT_PARTLY  0.5
+#define MO_VERDICT_DESIGNS 5
 
 /* Describes a design: flags; its rank and score on the finest steps, or in float64; how far luck
  * moves its score, and over which ranks; with which constants it is worse, the worst first; its
- * score in fresh worlds. Example: "Keeps its rank on finer steps (0.0086 to 0.0088). Its score goes
- * from 0.0086 to 0.34 when friction is 0.5 times as large." flags: of mo_measures_flags, over its
- * rollouts at the base. */
+ * score in fresh worlds. Example: "With finer time steps, it keeps rank 1, and its score changes
+ * from 0.0086 to 0.0088. Its score worsens from 0.0086 to 0.34 when friction is multiplied by 0.5."
+ * flags: of mo_measures_flags, over its rollouts at the base. */
 void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
                             const struct mo_trial_score *scores, uint32_t n_designs,
                             uint32_t design, uint32_t flags, char text[MO_VERDICT_MAX]);
@@ -212,7 +216,7 @@ void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
 /* A verdict in brief: the first of these that holds of a design. */
 enum mo_verdict_class {
   MO_CLASS_NO_SCORE = 0, /* it diverges at the base */
-  MO_CLASS_IN_DOUBT = 1, /* its rank is not about kept on the finest steps (or in float64, without
+  MO_CLASS_IN_DOUBT = 1, /* its rank is not roughly kept on the finest steps (or in float64, without
                               finer steps), or it diverges there. A design alone: its score */
   MO_CLASS_DEPENDS = 2,  /* it is worse, or diverges, in fresh worlds or with other constants */
   MO_CLASS_HOLDS = 3     /* no level of the certificate says otherwise */
@@ -223,13 +227,14 @@ struct mo_verdict {
   uint32_t worse; /* as bits 1 << enum mo_axis: axes with a level at which it is worse, or diverges;
                      without the base, precision, step and chance */
   uint32_t finest; /* the trial with the smallest error of numerics; 0: none */
-  bool is_kept;    /* its rank, or the score of a design alone, is about kept there */
+  bool is_kept;    /* its rank, or the score of a design alone, is roughly kept there */
 };
 struct mo_verdict mo_certificate_brief(const struct mo_trial *trials, uint32_t n_trials,
                                        const struct mo_trial_score *scores, uint32_t n_designs,
                                        uint32_t design);
-/* About the list: where its order holds, holds in part, and does not, of single constants only at
- * the level with the lowest tau; the largest regret; the worst mean score; divergences. */
+/* About the list: where its order holds, holds at least in part, does not hold, and is
+ * undetermined, of single changes only at the level with the lowest tau; the largest regret; the
+ * worst mean score; divergences. */
 void mo_certificate_list_verdict(const struct mo_trial *trials, uint32_t n_trials,
                                  const struct mo_trial_list *lists, uint32_t n_designs,
                                  char text[MO_VERDICT_MAX]);

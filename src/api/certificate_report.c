@@ -86,7 +86,7 @@ static struct mo_genotype form_of(const struct mo_genotype *genotype)
   return form;
 }
 
-/* Writes what a verdict says in brief: its class, whether the rank is about kept on the finest
+/* Writes what a verdict says in brief: its class, whether the rank is roughly kept on the finest
  * steps, and the axes at whose levels the design is worse. */
 static void write_brief(struct mo_text *text, const struct mo_report *report, uint32_t d)
 {

@@ -34,27 +34,27 @@ static void next_sentence(struct mo_text *text)
     mo_text_add(text, " ");
 }
 
-/* Appends a range, or one number if both are rounded to it. */
-static void add_range(struct mo_text *text, double from, double to)
+/* Returns whether two numbers are rounded to the same text. */
+static bool look_equal(double one, double other)
 {
-  const char *first = ROUNDED(from), *last = ROUNDED(to);
-  mo_text_format(text, strcmp(first, last) == 0 ? "%s" : "%s to %s", first, last);
+  return strcmp(ROUNDED(one), ROUNDED(other)) == 0;
 }
 
-/* Appends what a level changes: "when friction is 0.5 times as large". */
+/* Appends what a level changes: "when friction is multiplied by 0.5". */
 static void add_where(struct mo_text *text, const struct mo_trial *trial)
 {
   switch (trial->axis) {
   case MO_AXIS_BASE: mo_text_add(text, "at the base"); break;
   case MO_AXIS_PRECISION: mo_text_add(text, "in float64"); break;
-  case MO_AXIS_STEP: mo_text_add(text, "on finer steps"); break;
+  case MO_AXIS_STEP: mo_text_add(text, "with finer time steps"); break;
   case MO_AXIS_HELD_OUT: mo_text_add(text, "in fresh worlds"); break;
-  case MO_AXIS_CHANCE: mo_text_add(text, "when constants change by 0.01 %"); break;
+  case MO_AXIS_CHANCE: mo_text_add(text, "when the constants vary by up to 0.01 %"); break;
   case MO_AXIS_WORLDS: mo_text_add(text, "when all constants vary"); break;
-  case MO_AXIS_DROP: mo_text_format(text, "when dropped from %.6g m higher", trial->level); break;
+  case MO_AXIS_DROP:
+    mo_text_format(text, "when the drop height increases by %.6g m", trial->level);
+    break;
   default:
-    mo_text_format(text, "when %s is %.6g times as large", mo_axis_words[trial->axis],
-                   trial->level);
+    mo_text_format(text, "when %s is multiplied by %.6g", mo_axis_words[trial->axis], trial->level);
   }
 }
 
@@ -106,8 +106,9 @@ static double worse_by(const struct about *about, uint32_t t)
 
 static void add_divergence(struct mo_text *text, const struct about *about, uint32_t t)
 {
-  const unsigned n = about->trials[t].n_environments;
-  mo_text_format(text, "diverges in %u of %u rollouts ", (unsigned)score_at(about, t)->diverged, n);
+  const unsigned n = about->trials[t].n_environments, diverged = score_at(about, t)->diverged;
+  mo_text_format(text, "%u of %u rollouts %s ", diverged, n,
+                 diverged == 1 ? "diverges" : "diverge");
   add_where(text, &about->trials[t]);
 }
 
@@ -115,17 +116,17 @@ static void add_flags(struct mo_text *text, uint32_t flags)
 {
   if (flags & MO_FLAG_OVERSTRAINED) {
     next_sentence(text);
-    mo_text_format(text, "Stretches springs to more than %g times their length.",
+    mo_text_format(text, "It stretches springs to more than %g times their length.",
                    MO_PEAK_STRAIN_BOUND + 1);
   }
   if (flags & MO_FLAG_INVERTED) {
     next_sentence(text);
-    mo_text_add(text, "Turns voxels inside out.");
+    mo_text_add(text, "It turns voxels inside out.");
   }
 }
 
-/* Returns whether a rank is about kept at a level; of the only design, which has no rank that could
- * change, whether its score is. */
+/* Returns whether a rank is roughly kept at a level; of the only design, which has no rank that
+ * could change, whether its score is. */
 static bool is_kept_at(const struct about *about, uint32_t t)
 {
   const struct mo_trial_score *here = score_at(about, t), *base = score_at(about, 0);
@@ -136,41 +137,43 @@ static bool is_kept_at(const struct about *about, uint32_t t)
                                : fabs((double)here->rank - base->rank) <= few;
 }
 
-/* Appends what a finer step does to the only design. */
-static void add_numerics_alone(struct mo_text *text, const struct about *about, uint32_t t)
-{
-  mo_text_add(text, is_kept_at(about, t)     ? "Keeps its score "
-                    : worse_by(about, t) > 0 ? "Is worse "
-                                             : "Its score changes ");
-}
-
+/* Appends what finer steps do to the rank, and how the score follows. Of the only design, only the
+ * score can change. */
 static void add_numerics(struct mo_text *text, const struct about *about)
 {
   const uint32_t t = finest(about->trials, about->n_trials);
   const struct mo_trial_score *here = score_at(about, t), *base = score_at(about, 0);
+  const unsigned from = base->rank, to = here->rank;
+  const bool is_kept = is_kept_at(about, t), is_same = look_equal(base->score, here->score);
   if (t == 0)
     return;
   next_sentence(text);
   if (here->diverged > 0) {
-    mo_text_add(text, "Its score is in doubt: it ");
+    mo_text_add(text, "Its score is in doubt: ");
     add_divergence(text, about, t);
     mo_text_add(text, ".");
     return;
   }
+  mo_text_add(text,
+              about->trials[t].axis == MO_AXIS_STEP ? "With finer time steps, " : "In float64, ");
   if (about->n_designs == 1)
-    add_numerics_alone(text, about, t);
-  else if (here->rank == base->rank)
-    mo_text_add(text, "Keeps its rank ");
-  else if (is_kept_at(about, t))
-    mo_text_format(text, "About keeps its rank (%u to %u) ", (unsigned)base->rank,
-                   (unsigned)here->rank);
+    mo_text_add(text, is_same                  ? "its score stays at "
+                      : is_kept                ? "its score hardly changes, from "
+                      : worse_by(about, t) > 0 ? "its score worsens from "
+                                               : "its score changes from ");
+  else if (from == to)
+    mo_text_format(text, "it keeps rank %u, and its score ", to);
+  else if (is_kept)
+    mo_text_format(text, "its rank hardly changes, from %u to %u, and its score ", from, to);
   else
-    mo_text_format(text, "%s from rank %u to %u ", here->rank > base->rank ? "Falls" : "Rises",
-                   (unsigned)base->rank, (unsigned)here->rank);
-  add_where(text, &about->trials[t]);
-  mo_text_add(text, " (");
-  add_range(text, base->score, here->score);
-  mo_text_add(text, ").");
+    mo_text_format(text, "it %s from rank %u to rank %u, and its score ",
+                   to > from ? "falls" : "rises", from, to);
+  if (about->n_designs > 1)
+    mo_text_add(text, is_same ? "stays at " : "changes from ");
+  mo_text_add(text, ROUNDED(base->score));
+  if (!is_same)
+    mo_text_format(text, " to %s", ROUNDED(here->score));
+  mo_text_add(text, ".");
 }
 
 /* Returns the rank that a score would have among the other designs at the base. */
@@ -190,7 +193,6 @@ static void add_luck(struct mo_text *text, const struct about *about)
     return;
   next_sentence(text);
   if (score_at(about, t)->diverged > 0) {
-    mo_text_add(text, "It ");
     add_divergence(text, about, t);
     mo_text_add(text, ".");
     return;
@@ -198,8 +200,11 @@ static void add_luck(struct mo_text *text, const struct about *about)
   const double lo = fmax(interval.lo, 0); /* losses are at least 0 */
   const uint32_t first = rank_among_others(about, lo);
   const uint32_t last = rank_among_others(about, interval.hi);
-  mo_text_add(text, "By luck, its score is ");
-  add_range(text, lo, interval.hi);
+  if (look_equal(lo, interval.hi))
+    mo_text_format(text, "Luck hardly changes its score of %s", ROUNDED(lo));
+  else
+    mo_text_format(text, "By luck alone, its score could be anywhere from %s to %s", ROUNDED(lo),
+                   ROUNDED(interval.hi));
   if (about->n_designs > 1 && first == last)
     mo_text_format(text, " (rank %u)", (unsigned)first);
   else if (about->n_designs > 1)
@@ -234,19 +239,19 @@ static void add_constants(struct mo_text *text, const struct about *about)
     return;
   next_sentence(text);
   if (n == 0) {
-    mo_text_format(text, "No change of one constant clearly worsens its score (by %g or more).",
+    mo_text_format(text,
+                   "No single change to the physics makes its score clearly worse (by %g or more).",
                    MO_VERDICT_CHANGE);
     return;
   }
   bool has_from = false;
   for (uint32_t i = 0; i < n && i < MO_VERDICT_AXES; i++) {
-    mo_text_add(text, i == 0 ? "" : i + 1 < n && i + 1 < MO_VERDICT_AXES ? ", " : " and ");
+    mo_text_add(text, i == 0 ? "" : i + 1 < n && i + 1 < MO_VERDICT_AXES ? ", " : ", and ");
     if (score_at(about, order[i])->diverged > 0) {
-      mo_text_add(text, i == 0 ? "It " : "");
       add_divergence(text, about, order[i]);
       continue;
     }
-    mo_text_add(text, i == 0 ? "Its score goes " : has_from ? "" : "its score goes ");
+    mo_text_add(text, i == 0 ? "Its score worsens " : has_from ? "" : "its score worsens ");
     if (!has_from)
       mo_text_format(text, "from %s ", ROUNDED(score_at(about, 0)->score));
     has_from = true;
@@ -256,7 +261,7 @@ static void add_constants(struct mo_text *text, const struct about *about)
   others = n > MO_VERDICT_AXES ? n - MO_VERDICT_AXES : 0;
   if (others > 0)
     mo_text_format(text, "; %u other %s", (unsigned)others,
-                   others == 1 ? "change worsens it" : "changes worsen it");
+                   others == 1 ? "change makes it worse, too" : "changes make it worse, too");
   mo_text_add(text, ".");
 }
 
@@ -269,16 +274,13 @@ static void add_worlds(struct mo_text *text, const struct about *about, enum mo_
     return;
   next_sentence(text);
   if (score->diverged > 0) {
-    mo_text_add(text, "It ");
     add_divergence(text, about, t);
   } else {
-    mo_text_format(text, "Scores %s ", ROUNDED(score->score));
-    if (!isnan(score->interval.lo)) {
-      mo_text_add(text, "(");
-      add_range(text, score->interval.lo, score->interval.hi);
-      mo_text_add(text, ") ");
-    }
-    add_where(text, &about->trials[t]);
+    mo_text_format(text, "%s, its score is %s",
+                   axis == MO_AXIS_WORLDS ? "When all constants vary" : "In fresh worlds",
+                   ROUNDED(score->score));
+    if (!isnan(score->interval.lo) && !look_equal(score->interval.lo, score->interval.hi))
+      mo_text_format(text, " (%s to %s)", ROUNDED(score->interval.lo), ROUNDED(score->interval.hi));
   }
   mo_text_add(text, ".");
 }
@@ -292,7 +294,7 @@ void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
   add_flags(&words, flags);
   if (score_at(&about, 0)->diverged > 0) {
     next_sentence(&words);
-    mo_text_add(&words, "Has no score: it ");
+    mo_text_add(&words, "It has no score: ");
     add_divergence(&words, &about, 0);
     mo_text_add(&words, ".");
     return;
@@ -303,8 +305,8 @@ void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
   add_worlds(&words, &about, MO_AXIS_WORLDS);
   add_worlds(&words, &about, MO_AXIS_HELD_OUT);
   if (words.size == 0)
-    mo_text_format(&words, "Scores %s; no axis says what changes it.",
-                   ROUNDED(score_at(&about, 0)->score));
+    mo_text_format(&words, "Its score is %s; %s.", ROUNDED(score_at(&about, 0)->score),
+                   n_trials > 1 ? "no level makes it clearly worse" : "only the base was scored");
 }
 
 /* ---- in brief ---- */
@@ -336,12 +338,21 @@ struct mo_verdict mo_certificate_brief(const struct mo_trial *trials, uint32_t n
 
 /* ---- the list ---- */
 
-enum holding { HOLDS, PARTLY, NOT, HOLDINGS };
-static const char *const holding_words[] = {"holds", "holds in part", "does not hold"};
+/* What the interval of tau says about an order. */
+enum holding { HOLDS, PARTLY, NOT, OPEN, HOLDINGS };
+static const char *const holding_words[] = {"holds", "holds at least in part", "does not hold"};
 
-static enum holding holding_of(double tau)
+/* Few designs, or an interval that contains the least tau of an order that holds in part, leave it
+ * open. */
+static enum holding holding_of(const struct mo_trial_list *list, uint32_t n_designs)
 {
-  return tau >= MO_VERDICT_HOLDS ? HOLDS : tau >= MO_VERDICT_PARTLY ? PARTLY : NOT;
+  const struct mo_interval tau = list->of_tau;
+  if (n_designs < MO_VERDICT_DESIGNS || isnan(tau.lo))
+    return OPEN;
+  return tau.lo >= MO_VERDICT_HOLDS    ? HOLDS
+         : tau.lo >= MO_VERDICT_PARTLY ? PARTLY
+         : tau.hi < MO_VERDICT_PARTLY  ? NOT
+                                       : OPEN;
 }
 
 /* Collects the trials that the sentence about the order covers. Returns their number. */
@@ -364,41 +375,55 @@ static uint32_t choose_trials(const struct mo_trial *trials, uint32_t n_trials,
   return n;
 }
 
+/* Appends tau and, where it leaves the order open, its interval. */
+static void add_tau(struct mo_text *text, const struct mo_trial *trial,
+                    const struct mo_trial_list *list, bool is_open)
+{
+  mo_text_format(text, " (tau %.2f", list->tau);
+  if (is_open && !isnan(list->of_tau.lo))
+    mo_text_format(text, ", interval %.2f to %.2f", list->of_tau.lo, list->of_tau.hi);
+  mo_text_add(text, trial->axis == MO_AXIS_CHANCE ? "; the effect of luck)"
+                    : is_of_one(trial->axis)      ? "; the lowest of all single changes)"
+                                                  : ")");
+}
+
 static void add_order(struct mo_text *text, const struct mo_trial *trials, uint32_t n_trials,
                       const struct mo_trial_list *lists, uint32_t n_designs)
 {
   uint32_t chosen[MO_AXES];
   const uint32_t n = choose_trials(trials, n_trials, lists, chosen);
-  bool any = false, has_intervals = true;
+  bool any = false;
   if (n == 0)
     return;
   for (enum holding holding = HOLDS; holding < HOLDINGS; holding++) {
     uint32_t left = 0;
     for (uint32_t i = 0; i < n; i++)
-      left += holding_of(lists[chosen[i]].tau) == holding;
+      left += holding_of(&lists[chosen[i]], n_designs) == holding;
     if (left == 0)
       continue;
+    const char *last = holding == NOT || holding == OPEN ? " or " : " and ";
+    mo_text_add(text, any ? "; " : "");
+    mo_text_add(text, holding != OPEN ? "" : any ? "whether " : "Whether ");
     if (any)
-      mo_text_format(text, "; it %s ", holding_words[holding]);
+      mo_text_add(text, "it ");
     else
-      mo_text_format(text, "The order of the %u designs %s ", (unsigned)n_designs,
-                     holding_words[holding]);
+      mo_text_format(text, "%s order of the %u designs ", holding == OPEN ? "the" : "The",
+                     (unsigned)n_designs);
+    mo_text_format(text, "%s ", holding_words[holding == OPEN ? HOLDS : holding]);
     any = true;
     for (uint32_t i = 0; i < n; i++) {
-      const struct mo_trial *trial = &trials[chosen[i]];
-      if (holding_of(lists[chosen[i]].tau) != holding)
+      if (holding_of(&lists[chosen[i]], n_designs) != holding)
         continue;
-      has_intervals = has_intervals && !isnan(lists[chosen[i]].of_tau.lo);
-      add_where(text, trial);
-      mo_text_format(text, " (tau %.2f", lists[chosen[i]].tau);
-      mo_text_add(text, trial->axis == MO_AXIS_CHANCE ? ": luck)"
-                        : is_of_one(trial->axis)      ? ", the lowest of one constant)"
-                                                      : ")");
+      add_where(text, &trials[chosen[i]]);
+      add_tau(text, &trials[chosen[i]], &lists[chosen[i]], holding == OPEN);
       left--;
-      mo_text_add(text, left > 1 ? ", " : left == 1 ? " and " : "");
+      mo_text_add(text, left > 1 ? ", " : left == 1 ? last : "");
     }
+    mo_text_add(text, holding == OPEN ? " is undetermined" : "");
   }
-  mo_text_add(text, has_intervals ? "." : "; with fewer than four designs, tau has no interval.");
+  if (n_designs < MO_VERDICT_DESIGNS)
+    mo_text_format(text, ": tau says little about fewer than %d designs", MO_VERDICT_DESIGNS);
+  mo_text_add(text, ".");
 }
 
 static void add_regret(struct mo_text *text, const struct mo_trial *trials, uint32_t n_trials,
@@ -412,19 +437,20 @@ static void add_regret(struct mo_text *text, const struct mo_trial *trials, uint
   }
   if (lost > 0 && !isnan(lists[0].top_score)) {
     next_sentence(text);
-    mo_text_format(text, "At %u of %u levels, one of the best at the base diverges.",
+    mo_text_format(text,
+                   "At %u of %u levels, one of the designs that are best at the base "
+                   "diverges.",
                    (unsigned)lost, (unsigned)(n_trials - 1));
   }
   if (most > 0 && !(lists[most].regret > 0)) {
     next_sentence(text);
-    mo_text_add(text, lost > 0 ? "At the other levels, choosing the best at the base costs nothing."
-                               : "Choosing the best at the base costs nothing at any level.");
+    mo_text_add(text, lost > 0 ? "At the other levels, choosing by base scores costs nothing."
+                               : "Choosing by base scores costs nothing at any level.");
   } else if (most > 0) {
     next_sentence(text);
-    mo_text_format(text, "Choosing the best at the base costs at most %s, ",
-                   ROUNDED(lists[most].regret));
+    mo_text_format(text, "Choosing by base scores costs up to %s (", ROUNDED(lists[most].regret));
     add_where(text, &trials[most]);
-    mo_text_add(text, ".");
+    mo_text_add(text, ").");
   }
 }
 
@@ -438,11 +464,10 @@ static void add_means(struct mo_text *text, const struct mo_trial *trials, uint3
   if (!(lists[worst].mean_score - lists[0].mean_score >= MO_VERDICT_CHANGE))
     return;
   next_sentence(text);
-  mo_text_add(text, "The mean score goes at worst from ");
-  add_range(text, lists[0].mean_score, lists[worst].mean_score);
-  mo_text_add(text, ", ");
+  mo_text_format(text, "In the worst case, the mean score goes from %s to %s (",
+                 ROUNDED(lists[0].mean_score), ROUNDED(lists[worst].mean_score));
   add_where(text, &trials[worst]);
-  mo_text_add(text, ".");
+  mo_text_add(text, ").");
 }
 
 /* Appends where designs diverge. They are in no mean score, which may therefore look better than it
@@ -463,16 +488,18 @@ static void add_divergences(struct mo_text *text, const struct mo_trial *trials,
       mo_text_format(text, "The design diverges at %u of %u levels.", (unsigned)levels,
                      (unsigned)(n_trials - 1));
     else {
-      mo_text_format(text, "At %u of %u levels, more designs diverge than at the base: up to %u, ",
+      mo_text_format(text, "At %u of %u levels, more designs diverge than at the base (up to %u, ",
                      (unsigned)levels, (unsigned)(n_trials - 1),
                      (unsigned)lists[most].n_diverged_designs);
       add_where(text, &trials[most]);
-      mo_text_add(text, ".");
+      mo_text_add(text, ").");
     }
   }
   if (of_base > 0) {
     next_sentence(text);
-    mo_text_format(text, "%u of %u designs diverge at the base and have no score.",
+    mo_text_format(text,
+                   of_base == 1 ? "%u of %u designs diverges at the base and has no score."
+                                : "%u of %u designs diverge at the base and have no score.",
                    (unsigned)of_base, (unsigned)n_designs);
   }
 }
@@ -490,7 +517,7 @@ void mo_certificate_list_verdict(const struct mo_trial *trials, uint32_t n_trial
   add_divergences(&words, trials, n_trials, lists, n_designs);
   if (words.size == 0)
     mo_text_format(&words,
-                   n_trials > 1 ? "No level worsens the mean score by %g or more."
-                                : "Only the base is scored.",
+                   n_trials > 1 ? "No level makes the mean score worse by %g or more."
+                                : "Only the base was scored.",
                    MO_VERDICT_CHANGE);
 }

@@ -66,7 +66,7 @@ def test_the_page_agrees_with_the_report(browser, certificate, theme):
     for row, design in zip(shown, best_first):
         low, high = design["interval"]
         assert row[3] == f"{design['score']:.4f} ± {(high - low) / 2:.4f}"
-        assert row[4].endswith(design["verdict"]) and "on finer steps" in row[4]
+        assert row[4].endswith(design["verdict"]) and "with finer time steps" in row[4].lower()
     links = browser.run("return [...document.querySelectorAll('.design a')].map((a) => a.hash)")
     assert links == [f"#/designs/{one['design']}" for one in best_first]
     asked = browser.texts("[aria-label='What was asked']")[0]
@@ -135,20 +135,20 @@ def test_what_a_design_depends_on(browser):
             "axis": axis, "kept": kept, "rank": rank, "diverged": diverged}}
 
     cases = [
-        (design(rank=2), ["keeps its rank on finer steps"]),
+        (design(rank=2), ["keeps its rank with finer time steps"]),
         (design(False, ["friction", "drop", "worlds"], rank=12),
-         ["rank 1 → 12 on finer steps", "depends on friction, the drop height"]),
+         ["rank 1 → 12 with finer time steps", "depends on friction, the drop height"]),
         (design(worse=["worlds"], axis="precision"),
          ["keeps its rank in float64", "depends on all constants together"]),
         (design(False, ["drop"], 20, 3),
-         ["in doubt: diverges on finer steps", "depends on the drop height"]),
+         ["in doubt: diverges with finer time steps", "depends on the drop height"]),
         (design(axis=None), []), (design(score=None, worse=["drop"]), ["has no score"])]
     report = {"n_designs": 20, "designs": [one for one, _ in cases]}
     browser.open("nowhere")
     assert browser.driver.execute_async_script(BADGES, report) == [words for _, words in cases]
     alone = {"n_designs": 1, "designs": [design(), design(False)]}
     assert browser.driver.execute_async_script(BADGES, alone) == [
-        ["keeps its score on finer steps"], ["another score on finer steps"]]
+        ["keeps its score with finer time steps"], ["its score changes with finer time steps"]]
 
 
 def test_badges_in_lists(browser, service):
@@ -263,11 +263,12 @@ def long(service):
 
 
 # As long as verdicts usually are, or longer.
-VERDICT = ("Turns voxels inside out. About keeps its rank (11 to 10) on finer steps (0.75). By "
-           "luck, its score is 0.75 (rank 11). Its score goes from 0.75 to 0.87 when dropped from "
-           "0.2 m higher and to 0.82 when friction is 0.7 times as large; 2 other changes worsen "
-           "it. Scores 0.81 (0.78 to 0.84) when all constants vary. Scores 0.76 (0.75 to 0.76) in "
-           "fresh worlds.")
+VERDICT = ("It turns voxels inside out. With finer time steps, its rank hardly changes, from 11 to "
+           "10, and its score stays at 0.75. Luck hardly changes its score of 0.75 (rank 11). Its "
+           "score worsens from 0.75 to 0.87 when the drop height increases by 0.2 m, and to 0.82 "
+           "when friction is multiplied by 0.7; 2 other changes make it worse, too. When all "
+           "constants vary, its score is 0.81 (0.78 to 0.84). In fresh worlds, its score is 0.76 "
+           "(0.75 to 0.76).")
 
 
 def test_on_paper(browser, long):

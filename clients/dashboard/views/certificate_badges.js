@@ -9,9 +9,9 @@ import { loadSheet } from '../lib/sheet.js';
 
 /** The classes of verdicts, with the color of the badge and an explanation. */
 const CLASSES = {
-  holds: ['good', 'no level of the certificate worsens its score clearly'],
+  holds: ['good', 'no level of the certificate makes its score clearly worse'],
   depends: ['but', 'its score is worse in fresh worlds or with other constants'],
-  in_doubt: ['bad', 'its rank or score is not kept on finer steps'],
+  in_doubt: ['bad', 'its rank or score is not kept with finer time steps'],
   no_score: ['bad', 'it diverges at the base of the certificate'],
 };
 /** Robots of a stage that are looked up. */

@@ -38,10 +38,11 @@ export function badgesOf({ score, rank, numerics, worse }, { n_designs: n }) {
   /** @type {[string, string][]} */
   const badges = [];
   if (numerics) {
-    const where = numerics.axis === 'step' ? 'on finer steps' : 'in float64';
+    const where = numerics.axis === 'step' ? 'with finer time steps'
+      : 'in float64';
     badges.push(numerics.diverged ? [`in doubt: diverges ${where}`, 'bad']
       : numerics.kept ? [`keeps its ${n > 1 ? 'rank' : 'score'} ${where}`, 'good']
-      : [n > 1 ? `rank ${rank} → ${numerics.rank} ${where}` : `another score ${where}`, 'bad']);
+      : [n > 1 ? `rank ${rank} → ${numerics.rank} ${where}` : `its score changes ${where}`, 'bad']);
   }
   const axes = worse.length > 1 ? worse.filter((axis) => axis !== 'worlds') : worse;
   if (axes.length) {

@@ -40,6 +40,12 @@ static void set_score(uint32_t t, uint32_t design, double score)
   scores[t][design].of_change = (struct mo_interval){change - 0.001, change + 0.001};
 }
 
+static void set_tau(uint32_t t, double tau, double lo, double hi)
+{
+  lists[t].tau = tau;
+  lists[t].of_tau = (struct mo_interval){lo, hi};
+}
+
 static void diverge(uint32_t t, uint32_t design, uint32_t rollouts)
 {
   scores[t][design] = (struct mo_trial_score){NAN, {NAN, NAN}, NAN, {NAN, NAN}, rollouts, DESIGNS};
@@ -60,26 +66,31 @@ static const char *list_verdict(void)
 static void numerics(void)
 {
   begin();
-  CHECK_TEXT(verdict(0, 0), "Scores 0.01; no axis says what changes it.");
+  CHECK_TEXT(verdict(0, 0), "Its score is 0.01; only the base was scored.");
   const uint32_t precision = add(MO_AXIS_PRECISION, 64);
   scores[precision][0].score = 0.0112;
-  CHECK_TEXT(verdict(0, 0), "Keeps its rank in float64 (0.01 to 0.011).");
+  CHECK_TEXT(verdict(0, 0),
+             "In float64, it keeps rank 1, and its score changes from 0.01 to 0.011.");
   add(MO_AXIS_STEP, 2);
   const uint32_t step = add(MO_AXIS_STEP, 4);
-  CHECK_TEXT(verdict(4, 0), "Keeps its rank on finer steps (0.05).");
+  CHECK_TEXT(verdict(4, 0), "With finer time steps, it keeps rank 5, and its score stays at 0.05.");
   scores[step][4].rank = 7;
-  CHECK_TEXT(verdict(4, 0), "About keeps its rank (5 to 7) on finer steps (0.05).");
+  CHECK_TEXT(
+      verdict(4, 0),
+      "With finer time steps, its rank hardly changes, from 5 to 7, and its score stays at 0.05.");
   scores[step][4].rank = 8;
   scores[step][4].score = 0.34;
-  CHECK_TEXT(verdict(4, 0), "Falls from rank 5 to 8 on finer steps (0.05 to 0.34).");
+  CHECK_TEXT(verdict(4, 0), "With finer time steps, it falls from rank 5 to rank 8, and its score "
+                            "changes from 0.05 to 0.34.");
   scores[step][4].rank = 1;
   scores[step][4].score = 0.001;
-  CHECK_TEXT(verdict(4, 0), "Rises from rank 5 to 1 on finer steps (0.05 to 0.001).");
+  CHECK_TEXT(verdict(4, 0), "With finer time steps, it rises from rank 5 to rank 1, and its score "
+                            "changes from 0.05 to 0.001.");
   diverge(step, 4, 3);
   CHECK_TEXT(verdict(4, 0),
-             "Its score is in doubt: it diverges in 3 of 10 rollouts on finer steps.");
+             "Its score is in doubt: 3 of 10 rollouts diverge with finer time steps.");
   diverge(0, 4, 2);
-  CHECK_TEXT(verdict(4, 0), "Has no score: it diverges in 2 of 10 rollouts at the base.");
+  CHECK_TEXT(verdict(4, 0), "It has no score: 2 of 10 rollouts diverge at the base.");
 }
 
 static void flags(void)
@@ -87,19 +98,24 @@ static void flags(void)
   begin();
   add(MO_AXIS_STEP, 4);
   CHECK_TEXT(verdict(0, MO_FLAG_OVERSTRAINED | MO_FLAG_INVERTED),
-             "Stretches springs to more than 3 times their length. Turns voxels inside out. Keeps "
-             "its rank on finer steps (0.01).");
+             "It stretches springs to more than 3 times their length. It turns voxels inside out. "
+             "With finer "
+             "time steps, it keeps rank 1, and its score stays at 0.01.");
 }
 
 static void luck(void)
 {
   begin();
   const uint32_t t = add(MO_AXIS_CHANCE, NAN);
-  CHECK_TEXT(verdict(4, 0), "By luck, its score is 0.048 to 0.052 (rank 5).");
+  CHECK_TEXT(verdict(4, 0),
+             "By luck alone, its score could be anywhere from 0.048 to 0.052 (rank 5).");
   scores[t][4].interval = (struct mo_interval){-0.02, 0.071};
-  CHECK_TEXT(verdict(4, 0), "By luck, its score is 0 to 0.071 (ranks 1 to 7).");
+  CHECK_TEXT(verdict(4, 0),
+             "By luck alone, its score could be anywhere from 0 to 0.071 (ranks 1 to 7).");
+  scores[t][4].interval = (struct mo_interval){0.0501, 0.0502};
+  CHECK_TEXT(verdict(4, 0), "Luck hardly changes its score of 0.05 (rank 5).");
   diverge(t, 4, 1);
-  CHECK_TEXT(verdict(4, 0), "It diverges in 1 of 10 rollouts when constants change by 0.01 %.");
+  CHECK_TEXT(verdict(4, 0), "1 of 10 rollouts diverges when the constants vary by up to 0.01 %.");
 }
 
 static void constants(void)
@@ -109,30 +125,32 @@ static void constants(void)
   const uint32_t mass = add(MO_AXIS_MASS, 1.3), friction = add(MO_AXIS_FRICTION, 0.5);
   const uint32_t drag = add(MO_AXIS_DRAG, 2), drop = add(MO_AXIS_DROP, 0.2);
   CHECK_TEXT(verdict(0, 0),
-             "No change of one constant clearly worsens its score (by 0.05 or more).");
+             "No single change to the physics makes its score clearly worse (by 0.05 or more).");
   set_score(friction, 0, 0.34);
   CHECK_TEXT(verdict(0, 0),
-             "Its score goes from 0.01 to 0.34 when friction is 0.5 times as large.");
-  CHECK_HAS(verdict(1, 0), "No change");
+             "Its score worsens from 0.01 to 0.34 when friction is multiplied by 0.5.");
+  CHECK_HAS(verdict(1, 0), "No single change");
   set_score(mass, 0, 0.1);
-  CHECK_TEXT(verdict(0, 0), "Its score goes from 0.01 to 0.34 when friction is 0.5 times as large "
-                            "and to 0.1 when mass is 1.3 times as large.");
-  set_score(drop, 0, 0.2);
   CHECK_TEXT(verdict(0, 0),
-             "Its score goes from 0.01 to 0.34 when friction is 0.5 times as large and to 0.2 when "
-             "dropped from 0.2 m higher; 1 other change worsens it.");
+             "Its score worsens from 0.01 to 0.34 when friction is multiplied by 0.5, "
+             "and to 0.1 when mass is multiplied by 1.3.");
+  set_score(drop, 0, 0.2);
+  CHECK_TEXT(
+      verdict(0, 0),
+      "Its score worsens from 0.01 to 0.34 when friction is multiplied by 0.5, and to 0.2 when the "
+      "drop height increases by 0.2 m; 1 other change makes it worse, too.");
   diverge(drag, 0, 4);
   CHECK_TEXT(
       verdict(0, 0),
-      "It diverges in 4 of 10 rollouts when drag is 2 times as large and its score goes from "
-      "0.01 to 0.34 when friction is 0.5 times as large; 2 other changes worsen it.");
+      "4 of 10 rollouts diverge when drag is multiplied by 2, and its score worsens from 0.01 to "
+      "0.34 when friction is multiplied by 0.5; 2 other changes make it worse, too.");
   /* Neither a small change nor an uncertain one counts. */
   set_score(friction, 3, 0.0899);
-  CHECK_HAS(verdict(3, 0), "No change");
+  CHECK_HAS(verdict(3, 0), "No single change");
   set_score(friction, 3, 0.0901);
   CHECK_HAS(verdict(3, 0), "to 0.09 when friction");
   scores[friction][3].of_change.lo = -0.01;
-  CHECK_HAS(verdict(3, 0), "No change");
+  CHECK_HAS(verdict(3, 0), "No single change");
   scores[friction][3].of_change = (struct mo_interval){NAN, NAN}; /* one world */
   CHECK_HAS(verdict(3, 0), "to 0.09 when friction");
 }
@@ -141,14 +159,17 @@ static void worlds(void)
 {
   begin();
   const uint32_t fresh = add(MO_AXIS_HELD_OUT, NAN), varied = add(MO_AXIS_WORLDS, NAN);
-  CHECK_TEXT(verdict(4, 0), "Scores 0.05 (0.048 to 0.052) in fresh worlds.");
+  CHECK_TEXT(verdict(4, 0), "In fresh worlds, its score is 0.05 (0.048 to 0.052).");
   set_score(varied, 4, 0.2);
   scores[varied][4].interval = (struct mo_interval){0.1, 0.3};
-  CHECK_TEXT(verdict(4, 0),
-             "Scores 0.2 (0.1 to 0.3) when all constants vary. Scores 0.05 (0.048 to "
-             "0.052) in fresh worlds.");
+  CHECK_TEXT(
+      verdict(4, 0),
+      "When all constants vary, its score is 0.2 (0.1 to 0.3). In fresh worlds, its score is "
+      "0.05 (0.048 to 0.052).");
+  scores[fresh][4].interval = (struct mo_interval){0.0499, 0.0501};
+  CHECK_HAS(verdict(4, 0), "In fresh worlds, its score is 0.05.");
   diverge(fresh, 4, 2);
-  CHECK_HAS(verdict(4, 0), "It diverges in 2 of 10 rollouts in fresh worlds.");
+  CHECK_HAS(verdict(4, 0), " 2 of 10 rollouts diverge in fresh worlds.");
 }
 
 static void alone(void)
@@ -159,9 +180,16 @@ static void alone(void)
   struct mo_trial_score one[] = {scores[0][3], scores[1][3], scores[2][3]};
   one[0].rank = one[1].rank = one[2].rank = 1;
   mo_certificate_verdict(trials, 3, one, 1, 0, 0, text);
-  CHECK_TEXT(text, "Keeps its score on finer steps (0.04). By luck, its score is 0.038 to 0.042.");
+  CHECK_TEXT(
+      text,
+      "With finer time steps, its score stays at 0.04. By luck alone, its score could be anywhere "
+      "from 0.038 to 0.042.");
   mo_certificate_list_verdict(trials, 3, lists, 1, text);
-  CHECK_TEXT(text, "No level worsens the mean score by 0.05 or more.");
+  CHECK_TEXT(text, "No level makes the mean score worse by 0.05 or more.");
+
+  one[1].score = 0.05;
+  mo_certificate_verdict(trials, 2, one, 1, 0, 0, text);
+  CHECK_TEXT(text, "With finer time steps, its score hardly changes, from 0.04 to 0.05.");
 
   /* A better score, or one that is worse only in some worlds, is not the same score. */
   one[1].score = 0.001;
@@ -169,15 +197,15 @@ static void alone(void)
   one[1].change = -0.099;
   one[1].of_change = (struct mo_interval){-0.1, -0.098};
   mo_certificate_verdict(trials, 2, one, 1, 0, 0, text);
-  CHECK_TEXT(text, "Its score changes on finer steps (0.1 to 0.001).");
+  CHECK_TEXT(text, "With finer time steps, its score changes from 0.1 to 0.001.");
   one[1].score = 0.9;
   one[1].change = 0.8;
   one[1].of_change = (struct mo_interval){-0.1, 1.7};
   mo_certificate_verdict(trials, 2, one, 1, 0, 0, text);
-  CHECK_TEXT(text, "Its score changes on finer steps (0.1 to 0.9).");
+  CHECK_TEXT(text, "With finer time steps, its score changes from 0.1 to 0.9.");
   one[1].of_change.lo = 0.1;
   mo_certificate_verdict(trials, 2, one, 1, 0, 0, text);
-  CHECK_TEXT(text, "Is worse on finer steps (0.1 to 0.9).");
+  CHECK_TEXT(text, "With finer time steps, its score worsens from 0.1 to 0.9.");
 }
 
 /* Mean scores are those of the other designs, so the list's verdict says that some diverge. */
@@ -187,14 +215,17 @@ static void divergences(void)
   const uint32_t mass = add(MO_AXIS_MASS, 0.7), friction = add(MO_AXIS_FRICTION, 0.5);
   lists[friction].n_diverged_designs = 2;
   lists[friction].mean_score = 0.01;
-  CHECK_HAS(list_verdict(), " At 1 of 2 levels, more designs diverge than at the base: up to 2, "
-                            "when friction is 0.5 times as large.");
+  CHECK_HAS(list_verdict(), " At 1 of 2 levels, more designs diverge than at the base (up to 2, "
+                            "when friction is multiplied by 0.5).");
   lists[mass].n_diverged_designs = 3;
   lists[0].n_diverged_designs = 2;
-  CHECK_HAS(list_verdict(), " At 1 of 2 levels, more designs diverge than at the base: up to 3, "
-                            "when mass is 0.7 times as large. 2 of 20 designs diverge at the base");
+  CHECK_HAS(list_verdict(), " At 1 of 2 levels, more designs diverge than at the base (up to 3, "
+                            "when mass is multiplied by 0.7). 2 of 20 designs diverge at the base "
+                            "and have no score.");
   lists[0].n_diverged_designs = 3;
   CHECK(strstr(list_verdict(), "more designs diverge") == NULL);
+  lists[0].n_diverged_designs = 1;
+  CHECK_HAS(list_verdict(), " 1 of 20 designs diverges at the base and has no score.");
   lists[0].n_diverged_designs = 0;
   mo_certificate_list_verdict(trials, n_trials, lists, 1, text);
   CHECK_TEXT(text, "The design diverges at 2 of 2 levels.");
@@ -206,7 +237,8 @@ static void numbers(void)
   const uint32_t step = add(MO_AXIS_STEP, 4);
   scores[0][0].score = 99.4;
   scores[step][0].score = 99.6;
-  CHECK_TEXT(verdict(0, 0), "Keeps its rank on finer steps (99 to 100).");
+  CHECK_TEXT(verdict(0, 0),
+             "With finer time steps, it keeps rank 1, and its score changes from 99 to 100.");
 }
 
 /* The longest verdict fits. */
@@ -230,37 +262,64 @@ static void longest(void)
 static void order(void)
 {
   begin();
-  CHECK_TEXT(list_verdict(), "Only the base is scored.");
+  CHECK_TEXT(list_verdict(), "Only the base was scored.");
   const uint32_t step = add(MO_AXIS_STEP, 4), chance = add(MO_AXIS_CHANCE, NAN);
   CHECK_TEXT(list_verdict(),
-             "The order of the 20 designs holds on finer steps (tau 1.00) and when "
-             "constants change by 0.01 % (tau 1.00: luck). Choosing the best at the "
-             "base costs nothing at any level.");
-  lists[chance].of_tau.lo = NAN;
-  CHECK_HAS(list_verdict(),
-            "(tau 1.00: luck); with fewer than four designs, tau has no interval. ");
-  lists[chance].of_tau.lo = 0.9;
+             "The order of the 20 designs holds with finer time steps (tau 1.00) and when the "
+             "constants vary by up to 0.01 % (tau 1.00; the effect of luck). Choosing by base "
+             "scores costs nothing at any level.");
   const uint32_t fresh = add(MO_AXIS_HELD_OUT, NAN), friction = add(MO_AXIS_FRICTION, 0.5);
   add(MO_AXIS_MASS, 0.7);
-  lists[step].tau = 0.8;
-  lists[chance].tau = 0.79;
-  lists[fresh].tau = 0.5;
-  lists[friction].tau = 0.49;
+  set_tau(chance, 0.7, 0.5, 0.9);
+  set_tau(fresh, 0.4, 0.3, 0.51);
+  set_tau(friction, 0.3, 0.1, 0.49);
   lists[friction].regret = 0.21;
   lists[friction].mean_score = 0.4;
-  CHECK_TEXT(
-      list_verdict(),
-      "The order of the 20 designs holds on finer steps (tau 0.80); it holds in part in "
-      "fresh worlds (tau 0.50) and when constants change by 0.01 % (tau 0.79: luck); it does "
-      "not hold when friction is 0.5 times as large (tau 0.49, the lowest of one constant). "
-      "Choosing the best at the base costs at most 0.21, when friction is 0.5 times as "
-      "large. The mean score goes at worst from 0.1 to 0.4, when friction is 0.5 times as "
-      "large.");
+  CHECK_TEXT(list_verdict(),
+             "The order of the 20 designs holds with finer time steps (tau 1.00); it holds at "
+             "least in part when the constants vary by up to 0.01 % (tau 0.70; the effect of "
+             "luck); it does not hold when friction is multiplied by 0.5 (tau 0.30; the lowest of "
+             "all single changes); whether it holds in fresh worlds (tau 0.40, interval 0.30 to "
+             "0.51) is undetermined. Choosing by base scores costs up to 0.21 (when friction is "
+             "multiplied by 0.5). In the worst case, the mean score goes from 0.1 to 0.4 (when "
+             "friction is multiplied by 0.5).");
   lists[step].tau = lists[step].regret = NAN;
   lists[0].n_diverged_designs = 3;
-  CHECK_HAS(list_verdict(), "The order of the 20 designs holds in part in fresh worlds");
-  CHECK_HAS(text, "At 1 of 5 levels, one of the best at the base diverges.");
+  CHECK_HAS(list_verdict(),
+            "The order of the 20 designs holds at least in part when the constants");
+  CHECK_HAS(text, "At 1 of 5 levels, one of the designs that are best at the base diverges.");
   CHECK_HAS(text, " 3 of 20 designs diverge at the base and have no score.");
+}
+
+/* An order that tau does not determine is not said to hold, or not to. */
+static void undetermined(void)
+{
+  begin();
+  const uint32_t step = add(MO_AXIS_STEP, 4);
+  set_tau(step, 0.9, 0.81, 0.95);
+  CHECK_HAS(list_verdict(), "The order of the 20 designs holds with");
+  set_tau(step, 0.9, 0.79, 0.95);
+  CHECK_HAS(list_verdict(), "The order of the 20 designs holds at least in part with");
+  set_tau(step, 0.9, 0.49, 1);
+  CHECK_HAS(list_verdict(), "Whether the order of the 20 designs holds with finer time steps (tau "
+                            "0.90, interval 0.49 to 1.00) is undetermined. ");
+  set_tau(step, 0.1, -0.3, 0.5);
+  CHECK_HAS(list_verdict(), "is undetermined. ");
+  set_tau(step, 0.1, -0.3, 0.49);
+  CHECK_HAS(list_verdict(), "The order of the 20 designs does not hold with");
+  set_tau(step, 1, NAN, NAN);
+  CHECK_HAS(list_verdict(), "with finer time steps (tau 1.00) is undetermined. ");
+
+  const uint32_t fresh = add(MO_AXIS_HELD_OUT, NAN);
+  set_tau(step, 1, NAN, NAN);
+  set_tau(fresh, 1, 0.9, 1);
+  mo_certificate_list_verdict(trials, n_trials, lists, 4, text);
+  CHECK_HAS(text, "Whether the order of the 4 designs holds with finer time steps (tau 1.00) or in "
+                  "fresh worlds (tau 1.00, interval 0.90 to 1.00) is undetermined: tau says little "
+                  "about fewer than 5 designs. ");
+  mo_certificate_list_verdict(trials, n_trials, lists, 5, text);
+  CHECK_HAS(text, "The order of the 5 designs holds in fresh worlds (tau 1.00); whether it holds "
+                  "with finer time steps (tau 1.00) is undetermined. ");
 }
 
 /* In brief: the rules of the sentences. */
@@ -319,5 +378,6 @@ static const struct check_case cases[] = {
     {"numbers", numbers},
     {"the longest verdict", longest},
     {"the list", order},
+    {"an order that is undetermined", undetermined},
 };
 CHECK_MAIN(cases)
