@@ -165,17 +165,29 @@ def test_the_measure_to_select_by(service):
 
 @pytest.mark.parametrize("mode", [CAMPAIGN, LEARNING], ids=["zero-shot", "few-shot"])
 def test_the_bits_depend_on_nothing_else(start, tmp_path, mode):
-    """Not on threads, devices, or a stop in the middle."""
-    value = mode | {"re_evaluate": EVERY | {"every": 1}, "physics": {"n_steps": 600},
-                    "generations": 2, "environments": "paper-test"}
+    """Not on threads, or on a stop in the middle of a re-evaluation."""
+    value = mode | {"re_evaluate": EVERY | {"every": 1, "environments": 200},
+                    "physics": {"n_steps": 600}, "generations": 2, "environments": "paper-test"}
     whole = start("--workers=2")
     id = run(whole, "campaigns", value)["id"]
     expected = history(whole, id)[1:], held_out(whole, id)
     assert len(expected[1]) >= 3 * min(value["population"], 12)
     first = start("--workers=1", state=tmp_path)
     path = f"/v1/campaigns/{first.post('/v1/campaigns', value)['id']}"
-    awaited(first, path, lambda now: now["progress"]["under_way"] == 1)
+    elite = sum(row[0] == 1 for row in expected[1])
+    assert elite < value["population"] * (2 if mode is LEARNING else 1), "the totals differ"
+
+    def is_amid(job):
+        now = job["progress"]
+        return (now["under_way"], job["phase"], now["total"]) == (1, "scoring", elite) and (
+            1 <= now["done"] < elite - 1)
+
+    awaited(first, path, is_amid)
     assert first.stop() == 0, first.log_text()
+    with sqlite3.connect(f"file:{tmp_path}/morphod.db?mode=ro", uri=True) as database:
+        for table in ("campaign_generations", "campaign_held_out"):
+            newest = f"SELECT max(generation) FROM {table}"
+            assert database.execute(newest).fetchone() == (0, ), "the stop came too late"
     last = start("--workers=2", state=tmp_path)
     assert await_end(last, path).json()["state"] == "succeeded"
     assert (history(last, id)[1:], held_out(last, id)) == expected
