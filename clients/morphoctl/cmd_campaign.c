@@ -154,14 +154,13 @@ static void record_champions(struct ctl *ctl, const char *id, int64_t count, con
   "|>held out=[{held_out.mean:.4f}|–]|95 % interval=[{held_out.low:.4f} to {held_out.high:.4f}|–]"
 #define CERTIFICATE_COLUMN "|certificate=[{certificate.id} ({certificate.class})|–]"
 
-/* Returns whether an item of the list has this object. */
-static bool any_has(const json_t *list, const char *name)
+/* Returns how many items of the list have this object. */
+static size_t count_with(const json_t *list, const char *name)
 {
   const json_t *items = json_object_get(list, "items"), *item;
-  size_t i;
-  bool any = false;
-  json_array_foreach(items, i, item) any = any || json_is_object(json_object_get(item, name));
-  return any;
+  size_t i, n = 0;
+  json_array_foreach(items, i, item) n += json_is_object(json_object_get(item, name));
+  return n;
 }
 
 void run_campaign_champions(struct ctl *ctl)
@@ -184,11 +183,17 @@ void run_campaign_champions(struct ctl *ctl)
       keep(format_text(">number={number}|design={robot}|>voxels={voxels:,}|>footprint={footprint:,}"
                        "|>score={score:.4f}%s%s%s|>distinctness={distinctiveness:.4f}"
                        "|born={operator}|>generation={born:,}",
-                       any_has(champions, "held_out") ? HELD_OUT_COLUMNS : "",
-                       any_has(champions, "certificate") ? CERTIFICATE_COLUMN : "",
+                       count_with(champions, "held_out") > 0 ? HELD_OUT_COLUMNS : "",
+                       count_with(champions, "certificate") > 0 ? CERTIFICATE_COLUMN : "",
                        measure_columns(value_at(champions, "items.0.measures")))));
   if (!ctl->json && !ctl->quiet && *text_of(champions, "fresh_worlds") != '\0')
     print_plain_line(stderr, "held out: %s", text_of(champions, "fresh_worlds"));
+  if (!ctl->json && !ctl->quiet && json_is_object(json_object_get(champions, "re_evaluated")) &&
+      count_with(champions, "held_out") < json_array_size(json_object_get(champions, "items")))
+    print_from(stderr, champions,
+               "held out –: not in the re-evaluation of generation {re_evaluated.generation} (its "
+               "best {re_evaluated.designs} and its {re_evaluated.champions} champions, without "
+               "those that diverged), nor in an earlier one");
   if (records)
     record_champions(ctl, id, count, folder);
 }

@@ -9,6 +9,25 @@
 
 #define CHAMPIONS_MAX 1000
 
+/* Writes which re-evaluation the champions had a chance to be in; nothing if the campaign has none.
+ */
+static int write_re_evaluated(struct mo_text *text, struct mo_store *store,
+                              const struct mo_campaign_status *status, int64_t generation)
+{
+  const struct mo_re_evaluation *settings = &status->record.re_evaluate;
+  int64_t newest;
+  if (settings->every == 0)
+    return MO_OK;
+  const int error = mo_store_campaign_re_evaluated(store, status->job.id, generation, &newest);
+  mo_text_name(text, "re_evaluated");
+  if (error == MO_OK)
+    mo_text_format(text, "{\"generation\":%lld,\"designs\":%u,\"champions\":%u}", (long long)newest,
+                   (unsigned)settings->designs, (unsigned)MO_CHAMPIONS_USUAL);
+  else
+    mo_text_add(text, "null");
+  return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+}
+
 void mo_api_get_campaign_champions(struct mo_request *request)
 {
   struct mo_api *api = mo_api_of(request);
@@ -39,6 +58,8 @@ void mo_api_get_campaign_champions(struct mo_request *request)
     mo_text_format(&text, "{\"generation\":%lld", (long long)generation);
     mo_member_own_score(&text, &status.record.own_score);
     mo_member_fresh_worlds(&text, &status.record);
+    if (error == MO_OK)
+      error = write_re_evaluated(&text, api->store, &status, generation);
     mo_text_open(&text, "items", "[");
     for (uint32_t i = 0; i < n; i++) {
       mo_text_object(&text);

@@ -48,6 +48,9 @@ int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t
  * re-evaluated. */
 int64_t mo_store_campaign_held_out(struct mo_store *store, int64_t id, uint32_t generation,
                                    struct mo_re_evaluated rows[MO_ELITE_MAX]);
+/* Finds the newest re-evaluated generation up to this one. MO_ERR_NOT_FOUND: there is none. */
+int mo_store_campaign_re_evaluated(struct mo_store *store, int64_t id, int64_t generation,
+                                   int64_t *ret);
 /* Reads all descents so far (malloc), and the generation of each birth (malloc, nullable). *n:
  * designs. */
 int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_descent **descents,

@@ -33,3 +33,11 @@ int64_t mo_store_campaign_held_out(struct mo_store *store, int64_t id, uint32_t 
   return mo_read_page(store, sql, MO_VALUES(mo_int(id), mo_int(generation), mo_int(MO_ELITE_MAX)),
                       from_row, rows, sizeof(*rows));
 }
+
+int mo_store_campaign_re_evaluated(struct mo_store *store, int64_t id, int64_t generation,
+                                   int64_t *ret)
+{
+  static const char sql[] = "SELECT generation FROM campaign_held_out WHERE job=?1 AND"
+                            " generation<=?2 ORDER BY generation DESC LIMIT 1";
+  return mo_read_integers(store, sql, MO_VALUES(mo_int(id), mo_int(generation)), 1, ret);
+}

@@ -76,7 +76,8 @@ def test_it_selects_nothing(service, made):
     assert all(row["held_out"] is None for row in one[1]) and not held_out(service, plain["id"])
     assert all(row["held_out"]["worlds"] == row["held_out"]["rollouts"] == 0 and
                row["held_out"]["mean"] is None for row in one[0])
-    assert "fresh_worlds" not in service.get(f"/v1/campaigns/{plain['id']}/champions")
+    champions = service.get(f"/v1/campaigns/{plain['id']}/champions")
+    assert "fresh_worlds" not in champions and "re_evaluated" not in champions
 
 
 def test_who_is_scored_and_when(service, made):
@@ -87,7 +88,11 @@ def test_who_is_scored_and_when(service, made):
         generation, is_due = row["generation"], row["generation"] in (0, 2, 3)
         found = [one for one in stored if one[0] == generation]
         population = service.get(f"{path}/population?generation={generation}")["items"]
-        champions = service.get(f"{path}/champions?generation={generation}")["items"]
+        listed = service.get(f"{path}/champions?generation={generation}")
+        champions = listed["items"]
+        assert listed["re_evaluated"] == {"generation": 0 if generation == 1 else generation,
+                                          "designs": 3, "champions": 12}
+        assert not is_due or all(one["held_out"] for one in champions), "the usual list has them"
         elite = {one["number"] for one in population[:3] + champions}
         assert [one[1] for one in found] == (sorted(elite) if is_due else [])
         summary = row["held_out"]
@@ -374,6 +379,10 @@ def test_morphoctl(service, ctl, made):  # noqa: F811
     status, out, err = ctl(f"campaign champions {made['id']}")
     best = service.get(f"/v1/campaigns/{made['id']}/champions?count=1")["items"][0]
     assert status == 0 and f"{best['held_out']['mean']:.4f}" in out
-    assert "lights 0.4 to 2 m away" in err
+    assert "lights 0.4 to 2 m away" in err and "held out –" not in err
+    status, out, err = ctl(f"campaign champions {made['id']} --generation 1")
+    assert status == 0 and "–" in out
+    assert ("held out –: not in the re-evaluation of generation 0 (its best 3 and its 12 "
+            "champions, without those that diverged), nor in an earlier one") in err
     status, out, _ = ctl(f"campaign show {made['id']}")
     assert status == 0 and "every 2 generations in 70 fresh worlds" in out

@@ -7,7 +7,7 @@ import re
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-from service import await_end, run, until
+from service import await_end, awaited, run, until
 from test_pages import ACCESSIBILITY
 
 AXES = ["step", "friction", "held_out"]
@@ -162,7 +162,7 @@ def test_badges_in_lists(browser, service):
     certificate = service.post("/v1/certificates", {
         "population": {"campaign": id, "best": 2}, "axes": ["friction"], "levels": [0.5]})["id"]
     assert await_end(service, f"/v1/certificates/{certificate}").json()["state"] == "succeeded"
-    champions = service.get(f"/v1/campaigns/{id}/champions?count=8")["items"]
+    champions = service.get(f"/v1/campaigns/{id}/champions")["items"]
     browser.open(f"campaigns/{id}")
     browser.until("document.querySelectorAll('.pick .held-out').length === 6")
     browser.until("document.querySelectorAll('.pick .badge').length === 2")
@@ -178,6 +178,29 @@ def test_badges_in_lists(browser, service):
     assert certified["certificate"]["class"].replace("_", " ") in browser.texts(".known")[0]
     browser.driver.find_element("css selector", ".known .badge").click()
     browser.until(f"location.hash === '#/certificates/{certificate}'")
+
+
+def test_why_a_champion_has_no_mean_in_fresh_worlds(browser, service):
+    """Between two re-evaluations, new designs become champions."""
+    value = {"mode": "zero-shot", "population": 6, "generations": 400, "seed": 22,
+             "exclude_pretraining": False, "physics": {"n_steps": 120},
+             "re_evaluate": {"every": 400, "environments": 4, "designs": 2}}
+    path = f"/v1/campaigns/{service.post('/v1/campaigns', value)['id']}"
+    awaited(service, path, lambda now: (now["progress"]["generation"] or 0) >= 5)
+    service.act(path.rsplit("/", 1)[1], "pause")
+    until(lambda: service.get(path)["phase"] == "idle")
+    champions = service.get(f"{path}/champions")
+    assert champions["re_evaluated"] == {"generation": 0, "designs": 2, "champions": 12}
+    without = [one for one in champions["items"] if not one["held_out"]]
+    assert without
+    browser.open(path[4:])
+    browser.until("document.querySelectorAll('.pick .held-out').length === 6")
+    shown = browser.texts(".pick")
+    for one in champions["items"]:
+        card, = [text for text in shown if f"#{one['number']}," in text]
+        why = "fresh worlds: not among the best 2 or the 12 champions of generation 0"
+        assert (why in card) == (one in without), card
+    service.act(path.rsplit("/", 1)[1], "cancel")
 
 
 # Where things are that must not move, and which levels are shown.

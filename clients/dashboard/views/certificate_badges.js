@@ -34,14 +34,28 @@ function heldOut({ mean, low, high, worlds, diverged, generation }, shown) {
     : `fresh worlds: ${shown(mean)} (${shown(low)} to ${shown(high)})`);
 }
 
-/** Completes the last cards of a list. @param {Element} list @param {any[]} designs */
-export function markCards(list, designs, shown = score) {
+/** Returns why a design has no mean in fresh worlds. */
+function notHeldOut(design, { generation, designs, champions }) {
+  return h('span.muted.held-out', { title: `Generation ${generation} was re-evaluated in fresh ` +
+    `worlds: its best ${designs}, and its ${champions} champions. Designs that diverge are left ` +
+    'out' }, design.score === null ? 'fresh worlds: left out, because it diverges'
+    : `fresh worlds: not among the best ${designs} or the ${champions} champions of generation ` +
+      `${generation}`);
+}
+
+/**
+ * Completes the last cards of a list.
+ * @param {Element} list @param {any[]} designs
+ * @param {any} again the newest re-evaluation, or null
+ */
+export function markCards(list, designs, shown = score, again = null) {
   const cards = [...list.children].slice(-designs.length);
-  designs.forEach(({ held_out: fresh, certificate }, i) => {
+  designs.forEach((design, i) => {
+    const { held_out: fresh, certificate } = design;
     cards[i]?.querySelector('.known')?.remove();
-    if (!fresh && !certificate) return;
-    cards[i]?.append(h('div.known', {}, fresh ? heldOut(fresh, shown) : null, ' ',
-      certificate ? badgeOf(certificate) : null));
+    if (!fresh && !certificate && !again) return;
+    cards[i]?.append(h('div.known', {}, fresh ? heldOut(fresh, shown)
+      : again ? notHeldOut(design, again) : null, ' ', certificate ? badgeOf(certificate) : null));
   });
 }
 

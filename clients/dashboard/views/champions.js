@@ -9,7 +9,6 @@ import { Player } from '../stage/player.js';
 import { trayButton } from './add.js';
 import { breedButton } from './forms.js';
 
-const CHAMPIONS = 8;
 const badges = () => import('./certificate_badges.js');
 const WALKING_MAX = 64;
 
@@ -63,7 +62,7 @@ export class CampaignStage {
 /** Cards of the best and the most distinct designs. Each walks when it is pressed. */
 export class Champions {
   constructor({ app, id, get, job, shown, signal }, stage) {
-    this.path = `v1/campaigns/${id}/champions?count=${CHAMPIONS}`;
+    this.path = `v1/campaigns/${id}/champions`;
     this.get = get;
     this.job = job;
     this.shown = shown;
@@ -97,7 +96,7 @@ export class Champions {
     }
   }
 
-  async #show({ items }) {
+  async #show({ items, re_evaluated: again = null }) {
     const best = items.reduce((a, b) => ((a.score ?? Infinity) <= (b.score ?? Infinity) ? a : b));
     // The best come first; a selected design stays even when it is no longer a champion.
     const shown = [best, ...items.filter((one) => one !== best)];
@@ -108,7 +107,7 @@ export class Champions {
       (element, design) => {
         element.querySelector('.crown').hidden = design.number !== best.number;
       });
-    (await badges()).markCards(this.cards, shown, this.shown);
+    (await badges()).markCards(this.cards, shown, this.shown, again);
     if (this.stage.isEmpty) await this.stage.walk(shown.slice(0, 4));
   }
 

@@ -145,9 +145,10 @@ class AsyncCampaign(AsyncJob):
 
         Their `score` selected them, so it is lucky. With `re_evaluate`, `held_out_mean` is that of
         fresh worlds, with its 95 % interval `held_out_low` to `held_out_high`,
-        `held_out_standard_error`, `held_out_worlds`, `held_out_generation` and
-        `held_out_diverged`; NaN: no result. `certificate` is the id of the newest certificate under
-        a controller of the campaign, and `certificate_class` what it says."""
+        `held_out_standard_error`, `held_out_worlds`, `held_out_generation` and `held_out_diverged`;
+        NaN: it was in no re-evaluation, as may happen between two of them, or with another `count`,
+        which selects other designs. `certificate` is the id of the newest certificate under a
+        controller of the campaign, and `certificate_class` what it says."""
         found = await self._connection.json(
             Request.get(f"/v1/campaigns/{self.id}/champions", count=count))
         with reading():
