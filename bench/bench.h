@@ -31,6 +31,7 @@ int bench_accuracy(const struct bench_options *options);
 int bench_gradient(const struct bench_options *options);
 int bench_score_error(const struct bench_options *options);
 int bench_penetration(const struct bench_options *options);
+int bench_risers(const struct bench_options *options);
 int bench_gradient_accuracy(const struct bench_options *options);
 int bench_gradient_order(const struct bench_options *options);
 int bench_stability(const struct bench_options *options);

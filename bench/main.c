@@ -6,7 +6,8 @@
 
 static const char usage[] =
     "Usage: morpho-bench "
-    "rollout|gradient|gradient-accuracy|gradient-order|accuracy|score-error|penetration|stability|"
+    "rollout|gradient|gradient-accuracy|gradient-order|accuracy|score-error|penetration|risers|"
+    "stability|"
     "space|atlas|store|stream|evolution "
     "[OPTION…]\n\n  rollout   speed of one core on 200 distinct random bodies × the paper test "
     "set, against its best sgemm rate\n  gradient  speed of one core differentiating 256 rollouts, "
@@ -15,7 +16,8 @@ static const char usage[] =
     "steps against their limit\n  accuracy  run time against error for integrators, control "
     "periods, precisions, impact modes and time steps, as CSV\n  score-error  estimated errors of "
     "scores against the real ones, as CSV and a summary\n  penetration  masses "
-    "of robots inside their own voxels, as CSV and a summary\n  stability  physics that rollouts "
+    "of robots inside their own voxels, as CSV and a summary\n  risers    energy that masses get "
+    "where the ground rises, as CSV and a summary\n  stability  physics that rollouts "
     "survive, with the linear bound, as CSV and tables\n  space     speed of drawing, naming and "
     "varying random "
     "bodies\n  atlas     all bodies of at most ten voxels, their file and its queries, in a new "
@@ -46,6 +48,7 @@ static const struct {
                   {"accuracy", bench_accuracy, NULL},
                   {"score-error", bench_score_error, NULL},
                   {"penetration", bench_penetration, NULL},
+                  {"risers", bench_risers, NULL},
                   {"gradient-order", bench_gradient_order, NULL},
                   {"stability", bench_stability, NULL},
                   {"atlas", NULL, bench_atlas},
