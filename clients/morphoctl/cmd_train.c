@@ -16,19 +16,40 @@ static json_t *name_population(struct ctl *ctl, const char *id)
                    strcmp(text_of(job, "kind"), "campaign") == 0 ? "campaign" : "evaluation", id);
 }
 
-/* Adds the designs of a finetuning run: designs in operands, random designs, or a population. */
+/* Makes the population of an atlas, or NULL. */
+static json_t *name_atlas(struct ctl *ctl)
+{
+  const char *atlas = option_text(ctl, "atlas", NULL);
+  const int64_t count = option_number(ctl, "count", 1, DESIGNS_MAX, 0);
+  const int64_t seed = option_number(ctl, "atlas-seed", 0, INT64_C(9007199254740991), -1);
+  if (atlas == NULL && (count > 0 || seed >= 0))
+    fail(STATUS_USAGE, "--count and --atlas-seed are for --atlas");
+  if (atlas != NULL && count == 0)
+    fail(STATUS_USAGE, "--atlas needs --count, the number of bodies");
+  if (atlas == NULL)
+    return NULL;
+  json_t *object = json_pack("{s:s,s:I}", "atlas", atlas, "count", (json_int_t)count);
+  if (seed >= 0)
+    json_object_set_new(object, "seed", json_integer(seed));
+  return object;
+}
+
+/* Adds the designs of a finetuning run: designs in operands, random designs, a population, or
+ * bodies of an atlas. */
 static void fill_designs(struct ctl *ctl, bool finetune, json_t *request)
 {
   const json_t *random = random_of(ctl, "random-seed", DESIGNS_MAX);
   const int64_t best = option_number(ctl, "best", 1, DESIGNS_MAX, 0);
   const char *population = option_text(ctl, "population", NULL);
+  json_t *atlas = name_atlas(ctl);
   const bool listed = ctl->n_operands > 1 || random != NULL;
-  if (!finetune && (listed || population != NULL))
-    fail(STATUS_USAGE, "pretrain draws its own bodies: designs, --random and --population "
-                       "are for train start finetune");
-  if (finetune && listed == (population != NULL))
-    fail(STATUS_USAGE, "finetune learns on designs (files, --random N) or on a --population: "
-                       "give one of the two");
+  const int n_sources = listed + (population != NULL) + (atlas != NULL);
+  if (!finetune && n_sources > 0)
+    fail(STATUS_USAGE, "pretrain draws its own bodies: designs, --random, --population and "
+                       "--atlas are for train start finetune");
+  if (finetune && n_sources != 1)
+    fail(STATUS_USAGE, "finetune learns on designs (files, --random N), on a --population, or on "
+                       "bodies of an --atlas: give one of the three");
   if (best > 0 && population == NULL)
     fail(STATUS_USAGE, "--best is for --population");
   if (population != NULL) {
@@ -37,6 +58,8 @@ static void fill_designs(struct ctl *ctl, bool finetune, json_t *request)
     if (best > 0)
       json_object_set_new(object, "best", json_integer(best));
   }
+  if (atlas != NULL)
+    json_object_set_new(request, "population", atlas);
   if (listed)
     json_object_set(request, "designs", given_designs(ctl, 1, random).list);
 }

@@ -32,6 +32,7 @@ void run_train_each(struct ctl *ctl)
   print_summary(ctl, summary);
   putchar('\n');
   print_table(stdout, ctl, items,
-              ">position={position}|design={robot}|>before={zero_shot:.4f}|>after={finetuned:.4f}"
+              ">position={position}|>place=[{place:,}]|design={robot}|>before={zero_shot:.4f}|>"
+              "after={finetuned:.4f}"
               "|>gain={gain:.4f}|>last loss={last_loss:.4f}|controller=[{controller.name}]");
 }

@@ -160,6 +160,11 @@ static const struct option_spec train_start_options[] = {
      "finetune: the designs of an evaluation that has succeeded, or the newest population of a "
      "campaign, best first."},
     {"best", 0, "N", "Only the N best of the population (default: all)."},
+    {"atlas", 0, "NAME",
+     "finetune: bodies of the whole ranking of an atlas, one from each of --count equally large "
+     "parts."},
+    {"count", 0, "N", "Number of bodies of the atlas, 1 to 10000."},
+    {"atlas-seed", 0, "SEED", "Decides which body of each part is drawn (default: 1)."},
     {"each", 0, NULL,
      "finetune: each design learns alone, from the same controller, and is scored before and after "
      "(train each)."},
@@ -483,8 +488,9 @@ const struct command commands[] = {
      wait_options},
     {"train start", "pretrain|finetune [DESIGN]...", "Train a controller.", run_train_start,
      "pretrain: from random weights or a controller, on an endless stream of distinct random "
-     "bodies. finetune: a controller, on the designs given (as those of eval), on random ones, or "
-     "on a population. The training is a job of the server, which continues without morphoctl, "
+     "bodies. finetune: a controller, on the designs given (as those of eval), on random ones, on "
+     "a population, or on bodies of an atlas. The training is a job of the server, which continues "
+     "without morphoctl, "
      "and after a crash.",
      train_start_options, &training_kind},
     {"train list", "", "List trainings, newest first.", run_list, NULL, train_list_options},

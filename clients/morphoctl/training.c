@@ -126,7 +126,12 @@ static void print(struct live *live)
       {"from", CONTROLLER_WORDS("parent", "|random weights, sensor {settings.sensor}")},
       {"batch", "{settings.batch:,} robots, seed {settings.seed}"},
       {"designs", "[{settings.n_designs:,}[ of evaluation {settings.population.evaluation}"
-                  "| of campaign {settings.population.campaign}]]"},
+                  "| of campaign {settings.population.campaign}"
+                  "| of the ranking of atlas {settings.population.atlas}, seed "
+                  "{settings.population.seed}]]"},
+      {"atlas", "[{sample.bodies:,} bodies ranked[, {sample.diverged>0:,} without a score left "
+                "out], {sample.orientations}, environments [{sample.environments}|of its own], "
+                "sha256 {settings.population.sha256}]"},
       {"each", "[{settings.each=true}learns alone; controllers kept: [the best {settings.best}"
                "|{settings.keep}]; {progress.bodies_done:,} of {progress.bodies:,} done]"},
       {"worlds", "[{settings.environments}|{settings.environments.count} of the request"

@@ -37,7 +37,8 @@ enum mo_purpose {
   MO_PURPOSE_TRAINING_WORLD = 18, /* which of its own environments a robot of a training gets */
   MO_PURPOSE_FACTORS = 19,        /* factors of environments; index: the number of the factor, or
                                      after these 6: drop, 7: slope, 8: direction of the slope */
-  MO_PURPOSE_RE_EVALUATION = 20 /* seeds of the fresh worlds of a campaign; step: the generation */
+  MO_PURPOSE_RE_EVALUATION = 20, /* seeds of the fresh worlds of a campaign; step: the generation */
+  MO_PURPOSE_ATLAS_SAMPLE = 21   /* bodies drawn from an atlas; index: the stratum */
 };
 
 struct mo_random {

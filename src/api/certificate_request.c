@@ -14,7 +14,7 @@ static void read_population(struct mo_json *json, void *value)
   struct mo_certificate_request *request = &parsed->request;
   parsed->has_population = true;
   mo_read_population(json, MO_CERTIFICATE_DESIGNS_MAX, &parsed->population_kind,
-                     &request->record.population, &request->best);
+                     &request->record.population, &request->best, NULL);
 }
 
 static void read_physics(struct mo_json *json, void *value)

@@ -328,33 +328,73 @@ static void read_designs(struct mo_json *json, void *value)
 }
 const struct mo_field_own mo_designs_field = {.read = read_designs};
 
-/* ---- the designs of another job ---- */
+/* ---- the designs of another job, or of an atlas ---- */
+
+/* What a population is of. */
+struct population {
+  enum mo_job_kind kind;
+  int64_t id;
+  uint32_t best; /* 0: all */
+  unsigned sources;
+  bool is_drawn; /* it has members of a sample other than its atlas */
+};
+
+static void check_population(struct mo_json *json, unsigned depth,
+                             const struct population *population,
+                             const struct mo_atlas_sample *sample)
+{
+  const bool has_atlas = sample != NULL && sample->atlas[0] != '\0';
+  if (population->sources != 1)
+    mo_json_fault_at(json, depth, "",
+                     "must have exactly one of evaluation (its designs)%s campaign (its newest "
+                     "population)%s",
+                     sample != NULL ? "," : " and",
+                     sample != NULL ? " and atlas (bodies of its whole ranking)" : "");
+  else if (has_atlas && population->best > 0)
+    mo_json_fault_at(json, depth, "/best",
+                     "cannot be combined with atlas, which has count bodies of its whole ranking");
+  else if (has_atlas && sample->count == 0)
+    mo_json_fault_at(json, depth, "", "count is missing; it must be the number of bodies, 1 to %d",
+                     MO_ATLAS_SAMPLE_MAX);
+  else if (!has_atlas && population->is_drawn)
+    mo_json_fault_at(json, depth, "", "count, seed and sha256 are only for an atlas");
+  if (has_atlas && sample->sha256[0] != '\0' &&
+      strspn(sample->sha256, "0123456789abcdef") != MO_SHA256_DIGITS)
+    mo_json_fault_at(json, depth, "/sha256", "must be %d hexadecimal digits in lower case",
+                     MO_SHA256_DIGITS);
+}
 
 void mo_read_population(struct mo_json *json, uint32_t most, enum mo_job_kind *kind, int64_t *id,
-                        uint32_t *best)
+                        uint32_t *best, struct mo_atlas_sample *sample)
 {
-  unsigned depth = json->depth, jobs = 0;
+  const unsigned depth = json->depth, before = json->faults->n;
+  struct population population = {.kind = *kind};
   struct mo_json_slice key;
   int64_t number;
   if (!mo_json_object(json))
     return;
   while (mo_json_member(json, &key)) {
-    const bool campaign = mo_json_is(key, "campaign");
+    const bool campaign = mo_json_is(key, "campaign"), atlas = mo_json_is(key, "atlas");
     if (campaign || mo_json_is(key, "evaluation")) {
-      jobs++;
-      *kind = campaign ? MO_JOB_CAMPAIGN : MO_JOB_EVALUATION;
-      mo_read_job_id(json, campaign ? "a campaign" : "an evaluation", id);
+      population.sources++;
+      population.kind = campaign ? MO_JOB_CAMPAIGN : MO_JOB_EVALUATION;
+      mo_read_job_id(json, campaign ? "a campaign" : "an evaluation", &population.id);
     } else if (mo_json_is(key, "best")) {
       if (mo_json_integer(json, 1, most, &number))
-        *best = (uint32_t)number;
+        population.best = (uint32_t)number;
+    } else if (sample != NULL && mo_fields_read_member(json, key, &mo_atlas_asked_fields, sample)) {
+      population.sources += atlas;
+      population.is_drawn |= !atlas;
     } else {
-      mo_fields_unknown(json, "evaluation or campaign, best", NULL);
+      mo_fields_unknown(json, "evaluation or campaign, best",
+                        sample != NULL ? &mo_atlas_asked_fields : NULL);
     }
   }
-  if (!json->stop && jobs != 1)
-    mo_json_fault_at(
-        json, depth, "",
-        "must have exactly one of evaluation (its designs) and campaign (its newest population)");
+  if (!json->stop && json->faults->n == before)
+    check_population(json, depth, &population, sample);
+  *kind = population.kind;
+  *id = population.id;
+  *best = population.best;
 }
 
 /* ---- the rules ---- */

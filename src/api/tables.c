@@ -515,7 +515,8 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   " certificate.rollouts:n"
 #define EACH                                                                                       \
   "position:u id:d robot genotype:g voxels:n zero_shot:n finetuned:n gain:n zero_shot_diverged:u"  \
-  " finetuned_diverged:u first_loss:n last_loss:n skipped:u controller.name controller.sha256"
+  " finetuned_diverged:u first_loss:n last_loss:n skipped:u controller.name controller.sha256"     \
+  " place:n"
 #define USAGE                "name jobs:n core_seconds:n device_seconds:n"
 #define WORLDS               "sha256 light_xy_m.0:n light_xy_m.1:n terrain_heights_m terrain task"
 #define CHECKPOINTS          "step:n sha256 size:n stored_at"

@@ -36,6 +36,9 @@ static int write_body(struct mo_text *text, const struct mo_lattice *lattice,
   mo_member_robot(text, &genotype);
   mo_member_genotype(text, "genotype", &genotype);
   mo_text_member_count(text, "voxels", size.voxels);
+  if (status->record.sample.atlas[0] != '\0')
+    mo_text_member_count(text, "place",
+                         mo_atlas_sample_place(&status->record.sample, body->position));
   mo_text_member_number(text, "zero_shot", body->zero_shot);
   mo_text_member_number(text, "finetuned", body->finetuned);
   mo_text_member_number(text, "gain", body->zero_shot - body->finetuned);

@@ -20,7 +20,8 @@ static void read_population(struct mo_json *json, void *value)
   struct mo_training_request *request = &parsed->request;
   parsed->has_population = true;
   mo_read_population(json, MO_TRAINING_DESIGNS_MAX, &parsed->population_kind,
-                     &request->record.population, &request->population_best);
+                     &request->record.population, &request->population_best,
+                     &request->record.sample);
 }
 
 /* ---- the whole body ---- */
@@ -181,7 +182,8 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
       (struct mo_training_record){.settings = mo_training_preset(kind, parsed->preset),
                                   .validate_every_steps = NOT_GIVEN,
                                   .checkpoint_every_s = 60,
-                                  .checkpoints_kept = 3};
+                                  .checkpoints_kept = 3,
+                                  .sample.seed = 1};
   const enum mo_sensor sensor = settings->sensor;
   settings->sensor = (enum mo_sensor) - 1;
   const uint32_t held_out_environments = settings->held_out_environments;

@@ -61,11 +61,26 @@ static void write_settings(struct mo_text *text, const struct mo_training_status
                    record->keep_best > 0 ? NULL : mo_word(mo_keep_words, record->keep));
     mo_member_count_if(text, "best", record->keep_best > 0, record->keep_best);
   }
+  mo_text_name(text, "population");
   if (record->population > 0)
-    mo_text_format(text, ",\"population\":{\"%s\":\"%lld\"}}", mo_job_kind_name(population_kind),
+    mo_text_format(text, "{\"%s\":\"%lld\"}", mo_job_kind_name(population_kind),
                    (long long)record->population);
+  else if (record->sample.atlas[0] != '\0')
+    mo_fields_write_object(text, &mo_atlas_asked_fields, &record->sample);
   else
-    mo_text_add(text, ",\"population\":null}");
+    mo_text_add(text, "null");
+  mo_text_add(text, "}");
+}
+
+/* Writes how the designs were drawn from an atlas, and which. */
+static void write_sample(struct mo_text *text, const struct mo_atlas_sample *sample)
+{
+  mo_text_open(text, "sample", "{");
+  mo_fields_write(text, &mo_atlas_drawn_fields, sample);
+  mo_text_open(text, "places", "[");
+  for (uint32_t i = 0; i < sample->count; i++)
+    mo_text_format(text, i > 0 ? ",%u" : "%u", (unsigned)mo_atlas_sample_place(sample, i));
+  mo_text_add(text, "]}");
 }
 
 static void write_progress(struct mo_text *text, const struct mo_training_status *status,
@@ -191,6 +206,8 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
   if (error == MO_OK && training->record.draws_worlds)
     error = mo_store_job_environments(api->store, id, MO_JOB_TRAINING, &tasks, &n_tasks);
   mo_training_json_write(text, training, population_kind(api->store, training), tasks, live);
+  if (!is_listed && training->record.sample.atlas[0] != '\0')
+    write_sample(text, &training->record.sample);
   if (!is_listed)
     mo_member_notes(text, "notes", notes, n);
   mo_text_add(text, "}");
@@ -221,6 +238,7 @@ static int submit(struct mo_request *request, struct mo_post *post)
   const char *pointer =
       parsed.population_kind == MO_JOB_CAMPAIGN ? "/population/campaign" : "/population/evaluation";
   const bool invalid = error == MO_ERR_INVALID;
+  const bool is_drawn = parsed.request.record.sample.atlas[0] != '\0';
   if (invalid)
     mo_look_up_controller(api->store, parsed.request.parent, faults);
   if (error == MO_OK || invalid) /* the job with this id may be of a different kind */
@@ -232,6 +250,10 @@ static int submit(struct mo_request *request, struct mo_post *post)
     post->pointers =
         (struct mo_refusal_pointers){.empty = population > 0 ? "/population" : "/designs",
                                      .conflict = population > 0 ? pointer : NULL};
+    if (is_drawn)
+      post->pointers = (struct mo_refusal_pointers){.controller = "/population/atlas",
+                                                    .invalid = "/population/count",
+                                                    .conflict = "/population/atlas"};
     mo_post_sign(request, post, &parsed.request.job);
     error = mo_jobs_submit_training(api->jobs, &parsed.request, &request->kept, &replayed,
                                     &post->message);

@@ -253,6 +253,13 @@ uint64_t mo_atlas_bodies_of(const struct mo_atlas *atlas)
   return atlas->layout.firsts[MO_ATLAS_VOXELS_MAX];
 }
 
+void mo_atlas_hash(const struct mo_atlas *atlas, uint8_t sha256[32])
+{
+  struct mo_sha256 hash;
+  mo_sha256_of(atlas->mapped, atlas->bytes, &hash);
+  memcpy(sha256, hash.bytes, sizeof(hash.bytes));
+}
+
 uint64_t mo_atlas_size(const struct mo_atlas *atlas, uint32_t n_voxels, uint64_t *first)
 {
   const bool is_known = n_voxels >= 1 && n_voxels <= MO_ATLAS_VOXELS_MAX;

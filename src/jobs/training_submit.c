@@ -53,6 +53,15 @@ static int load_population(struct mo_jobs *jobs, const struct mo_training_reques
   return MO_OK;
 }
 
+/* Draws the designs of a request from its atlas. */
+static int load_sample(struct mo_jobs *jobs, struct mo_training_record *record,
+                       struct mo_bits **genotypes, struct mo_message *message)
+{
+  const int error = mo_store_atlas_sample(jobs->store, &record->sample, genotypes, message);
+  record->n_designs = record->sample.count;
+  return error;
+}
+
 /* The steps of all designs are numbered through. */
 static int check_each(const struct mo_training_record *record, struct mo_message *message)
 {
@@ -90,6 +99,8 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
       true, message);
   if (error == MO_OK && record->population != 0)
     error = load_population(jobs, request, &population, &record->n_designs, message);
+  if (error == MO_OK && record->sample.atlas[0] != '\0')
+    error = load_sample(jobs, record, &population, message);
   if (error == MO_OK && record->each)
     error = check_each(record, message);
   if (error == MO_OK) {

@@ -9,8 +9,11 @@
 
 /* Submits a training run, like mo_jobs_submit_evaluation; `message` has the details.
  * record.population: a succeeded evaluation, or a campaign for its newest population.
- * - MO_ERR_NOT_FOUND: no such controller or population
- * - MO_ERR_CONFLICT: the key was used with a different body, or the population has not succeeded
+ * record.sample: bodies of an atlas.
+ * - MO_ERR_NOT_FOUND: no such controller, population or atlas
+ * - MO_ERR_CONFLICT: the key was used with a different body, the population has not succeeded, or
+ *   the atlas is not complete or not the requested one
+ * - MO_ERR_RANGE: the designs are too many, for the atlas or for a training
  * - MO_ERR_UNSUPPORTED: the controller is for a different workspace */
 int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_request *request,
                             int64_t *id, bool *replayed, struct mo_message *message);

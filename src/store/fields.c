@@ -62,14 +62,21 @@ static const struct mo_field stored_each_rows[] = {
     {"keep_best", MO_FIELD_COUNT, 0, AT(keep_best), .min = 0, .max = MO_TRAINING_DESIGNS_MAX,
      .unit = "", .help = ""},
 };
-/* By whether a training has environments of its own, and whether it is of each design. */
-static const struct mo_field stored_forms[][2] = {
-    {{NULL, MO_FIELD_INLINE, 0, 0,
-      .group = &(const struct mo_fields)MO_FIELDS(stored_training_rows)},
-     {NULL, MO_FIELD_INLINE, 0, 0, .group = &(const struct mo_fields)MO_FIELDS(stored_each_rows)}},
-    {{NULL, MO_FIELD_INLINE, 0, 0, .group = &(const struct mo_fields)MO_FIELDS(stored_own_rows)},
-     {NULL, MO_FIELD_INLINE, 0, 0, .group = &(const struct mo_fields)MO_FIELDS(stored_each_rows)}},
+/* Of the first two, a training has the second if it has environments of its own. */
+enum { DRAWN_WORLDS, OWN_WORLDS, EACH, SAMPLE, N_TRAINING_ROWS };
+static const struct mo_field all_training_rows[N_TRAINING_ROWS] = {
+    [DRAWN_WORLDS] = {NULL, MO_FIELD_INLINE, 0, 0,
+                      .group = &(const struct mo_fields)MO_FIELDS(stored_training_rows)},
+    [OWN_WORLDS] = {NULL, MO_FIELD_INLINE, 0, 0,
+                    .group = &(const struct mo_fields)MO_FIELDS(stored_own_rows)},
+    [EACH] = {NULL, MO_FIELD_INLINE, 0, 0,
+              .group = &(const struct mo_fields)MO_FIELDS(stored_each_rows)},
+    [SAMPLE] = {"sample", MO_FIELD_GROUP, 0, AT(sample), .group = &mo_atlas_sample_fields,
+                .unit = "", .help = ""},
 };
+/* All that can be read. */
+static const struct mo_fields stored_training = {&all_training_rows[OWN_WORLDS],
+                                                 N_TRAINING_ROWS - OWN_WORLDS};
 #undef AT
 
 /* ---- campaigns ---- */
@@ -132,11 +139,26 @@ static const struct mo_fields all_stored = MO_FIELDS(all_stored_rows);
 
 /* ---- in the database ---- */
 
+/* Writes the rows that a record has. */
+static void write_those(const struct mo_field *all, const bool *has, size_t n_all,
+                        const void *record, struct mo_text *text)
+{
+  struct mo_field rows[N_STORED_ROWS > N_TRAINING_ROWS ? N_STORED_ROWS : N_TRAINING_ROWS];
+  size_t n = 0;
+  for (size_t i = 0; i < n_all; i++)
+    if (has[i])
+      rows[n++] = all[i];
+  mo_fields_write_object(text, &(const struct mo_fields){rows, n}, record);
+}
+
 static void write_training(const struct mo_training_record *record, struct mo_text *text)
 {
   const bool has_own = record->n_environments > 0;
-  mo_fields_write_object(
-      text, &(const struct mo_fields){stored_forms[has_own], record->each ? 2 : 1}, record);
+  const bool has[N_TRAINING_ROWS] = {[DRAWN_WORLDS] = !has_own,
+                                     [OWN_WORLDS] = has_own,
+                                     [EACH] = record->each,
+                                     [SAMPLE] = record->sample.atlas[0] != '\0'};
+  write_those(all_training_rows, has, N_TRAINING_ROWS, record, text);
 }
 
 /* Writes only members that the campaign uses: the settings of all others keep the form that they
@@ -153,12 +175,7 @@ static void write_campaign(const struct mo_campaign_record *record, struct mo_te
       [AGGREGATE] = record->settings.aggregate.kind != MO_AGGREGATE_MEAN,
       [RE_EVALUATE] = record->re_evaluate.every > 0,
   };
-  struct mo_field rows[N_STORED_ROWS];
-  size_t n = 0;
-  for (size_t i = 0; i < N_STORED_ROWS; i++)
-    if (has[i])
-      rows[n++] = all_stored_rows[i];
-  mo_fields_write_object(text, &(const struct mo_fields){rows, n}, record);
+  write_those(all_stored_rows, has, N_STORED_ROWS, record, text);
 }
 
 void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text)
@@ -213,9 +230,10 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
     training->draws_worlds = training->each = false;
     training->keep = MO_KEEP_NONE;
     training->keep_best = 0;
+    training->sample = (struct mo_atlas_sample){.atlas = ""};
     *settings = mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_WORKSTATION);
     settings->physics = mo_paper_physics();
-    return read_stored(json, &(const struct mo_fields){stored_forms[1], 2}, record);
+    return read_stored(json, &stored_training, record);
   }
   struct mo_campaign_record *campaign = record;
   campaign->settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);

@@ -12,6 +12,7 @@
 
 #include <morpho/learning.h>
 
+#include "store/atlas_sample.h"
 #include "store/checkpoints.h"
 
 enum mo_keep { MO_KEEP_NONE = 0, MO_KEEP_ALL = 1 };
@@ -27,7 +28,8 @@ struct mo_training_record {
   char environment_set[MO_NAME_BYTES_MAX + 1];
   uint32_t n_environments;
   bool draws_worlds;
-  int64_t population; /* finetune: the job whose designs are used; 0: listed in the request */
+  int64_t population; /* finetune: the job whose designs are used; 0: listed in the request, or */
+  struct mo_atlas_sample sample; /* drawn from an atlas */
   /* finetune: each design learns alone, one after the other, from the same controller and with the
    * same seed. Steps are then numbered through: step s of design i is i · settings.n_steps + s. Of
    * the controllers, all or those of the keep_best best designs are kept. */
@@ -76,7 +78,7 @@ struct mo_training_request {
   struct mo_training_record record;
   const char *parent;              /* name or "sha256:<hex>"; NULL: random weights */
   const struct mo_bits *genotypes; /* (record.n_designs) finetune; as requested: only without a
-                                      population */
+                                      population or an atlas */
   const struct mo_bits *forms;     /* (record.n_designs) canonical; as stored */
   struct mo_design_note *notes;    /* (n_notes) as in mo_evaluation_request */
   uint32_t n_notes;

@@ -1,7 +1,10 @@
 """The table of runs, and what the pages of all kinds of runs share: tabs, settings, start again."""
 
+import functools
+
 import pytest
 
+import atlases
 from conftest import CAMPAIGN, TRAINING
 from service import DESIGN, await_end, run
 from test_live import TOAST, go, module
@@ -409,6 +412,29 @@ def test_an_evaluation_and_a_training_start_again(service, browser):
     service.act(second["id"], "cancel")
     assert "does not return its 1 listed design" in again(browser, f"trainings/{service.training}")
     assert browser.faults() == []
+
+
+def test_bodies_of_an_atlas_start_again(service, browser):
+    """From the same file, or not at all."""
+    put = functools.partial(service.request, "PUT", "/v1/atlases/drawn/file",
+                            headers={"Content-Type": "application/octet-stream"})
+    assert put(body=atlases.file_of()).status == 201
+    request = {key: value for key, value in TRAINING.items() if key != "designs"} | {
+        "population": {"atlas": "drawn", "count": 5, "seed": 3}}
+    id = run(service, "trainings", request)["id"]
+    browser.open(f"trainings/{id}/settings")
+    browser.until("document.querySelector('dl.settings')")
+    assert "5 bodies of atlas drawn, seed 3" in " ".join(browser.texts("dl.settings"))
+    again(browser, f"trainings/{id}")
+    start(browser, "trainings", id)
+    first, second = service.get(f"/v1/trainings/{id}"), newest(service, "trainings")
+    service.act(second["id"], "cancel")
+    assert second["settings"] == first["settings"] and second["sample"] == first["sample"]
+    assert put(body=atlases.file_of(seed=2)).status == 200
+    again(browser, f"trainings/{id}")
+    browser.click("Start", "dialog button")
+    browser.until("document.querySelector('dialog .error').innerText.includes('another file')")
+    assert service.request("DELETE", "/v1/atlases/drawn").status == 204
 
 
 def test_a_study_has_no_form(service, browser):

@@ -18,8 +18,11 @@ static void check_accepted(const struct mo_training_request *request)
   FUZZ_PROMISE(record->checkpoints_kept >= 1 &&
                record->checkpoints_kept <= MO_CHECKPOINTS_KEPT_MAX);
   FUZZ_PROMISE(record->name[0] == '\0' || mo_controller_name_check(record->name) == MO_OK);
-  FUZZ_PROMISE(finetune == (record->n_designs > 0 || request->record.population > 0));
-  FUZZ_PROMISE(record->n_designs == 0 || request->record.population == 0);
+  const bool is_drawn = record->sample.atlas[0] != '\0';
+  FUZZ_PROMISE((record->n_designs > 0) + (record->population > 0) + is_drawn == finetune);
+  FUZZ_PROMISE(!is_drawn ||
+               (record->sample.count >= 1 && record->sample.count <= MO_ATLAS_SAMPLE_MAX &&
+                request->population_best == 0));
   FUZZ_PROMISE(!finetune || request->parent != NULL);
   FUZZ_PROMISE(request->parent == NULL || strlen(request->parent) <= MO_NAME_BYTES_MAX + 7);
   FUZZ_PROMISE(request->job.label == NULL || strlen(request->job.label) <= MO_LABEL_BYTES_MAX);

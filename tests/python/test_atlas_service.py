@@ -124,12 +124,13 @@ def test_zero_shot_scores_of_a_sample_are_those_of_the_atlas(m, tmp_path):
     job = m.build_atlas(4, orientations="canonical", name="sampled", **world)
     job.wait()
     atlas = job.atlas().open(tmp_path / "sampled.atlas")
-    ranks = np.linspace(0, len(atlas) - 1, 5).round().astype(int)
-    positions = [int(position) for position in atlas.order()[ranks]]
-    training = m.finetune([atlas.body(position) for position in positions], each=True, steps=1,
-                          batch=2, **world)
+    training = m.finetune(population=job.atlas().sample(5, seed=2), each=True, steps=1, batch=2,
+                          **world)
     training.wait()
     table = training.each()
+    places = training.data["sample"]["places"]
+    assert table["place"].tolist() == places and places == sorted(set(places))
+    positions = [int(position) for position in atlas.order()[places]]
     assert table["id"].tolist() == [atlas.id(position) for position in positions]
     scores = [atlas.score(position) for position in positions]
     assert table["zero_shot"].tolist() == pytest.approx(scores, rel=1e-6) and scores == sorted(

@@ -33,7 +33,9 @@ const WORDS = {
   environments: (value) => countOf(value.count, 'listed environment'),
   initial: (value) => (value.campaign ? `the population of campaign ${value.campaign}`
     : countOf(value.count, 'listed design')),
-  population: (value) => (value.campaign ? `from campaign ${value.campaign}`
+  population: (value) => (value.atlas
+    ? `${countOf(value.count, 'body', 'bodies')} of atlas ${value.atlas}, seed ${value.seed}`
+    : value.campaign ? `from campaign ${value.campaign}`
     : `from evaluation ${value.evaluation}`),
   aggregate: (value) => Object.values(value).join(' '),
   select_by: ({ measure, direction }) => `${direction} ${measure}`,

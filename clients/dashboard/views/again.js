@@ -68,6 +68,7 @@ const PARTS = {
       return n ? { lacks: `The service does not return its ${countOf(n, 'listed design')}: ` +
         'choose the bodies to train on below.' } : {};
     }
+    if (population.atlas) return { kept: { population } };
     return { kept: { population: { job: population.campaign ?? population.evaluation, best: n } } };
   },
   async campaign(job) {

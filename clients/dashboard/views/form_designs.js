@@ -19,6 +19,12 @@ export class LearnedOn {
     this.job = number('job', '', null);
     this.best = number('best', '', 10000);
     this.best.placeholder = 'all';
+    this.atlas = h('input', { name: 'atlas' });
+    this.count = number('count', 500, 10000);
+    this.seed = number('atlas-seed', 1, null);
+    this.seed.min = '0';
+    /** The atlas of the job that is repeated, and the hash of its file. */
+    this.drawn = { atlas: '', sha256: '' };
     const field = (name, input, kind = '') =>
       h(`label.field${kind}`, {}, h('span', {}, name), input);
     this.parts = {
@@ -26,18 +32,28 @@ export class LearnedOn {
       designs: [field('Designs', this.designs, '.wide')],
       population: [field('Number of the campaign or evaluation', this.job),
         field('Only the best', this.best)],
+      atlas: [field('Atlas', this.atlas), field('Bodies of its whole ranking', this.count),
+        field('Seed of the draw', this.seed)],
     };
     this.choice = h('select', { name: 'learn-on', onchange: () => this.show(true) },
       [['random', 'random bodies'], ['designs', 'these designs'],
-        ['population', 'a population']].map(([value, text]) => h('option', { value }, text)));
+        ['population', 'a population'], ['atlas', 'bodies of an atlas']].map(([value, text]) =>
+        h('option', { value }, text)));
     this.head = field('Bodies to learn on', this.choice);
     this.elements = [this.head, ...Object.values(this.parts).flat()];
     this.show(false);
   }
 
-  /** Chooses the population of a job. @param {{job: string, best: number|null}} population */
-  propose({ job, best }) {
-    this.choice.value = 'population';
+  /** Chooses the population of a job, or bodies of an atlas. @param {any} population */
+  propose({ job, best, atlas, count, seed, sha256 }) {
+    this.choice.value = atlas ? 'atlas' : 'population';
+    if (atlas) {
+      Object.assign(this.atlas, { value: atlas });
+      Object.assign(this.count, { value: count });
+      Object.assign(this.seed, { value: seed });
+      this.drawn = { atlas, sha256 };
+      return;
+    }
     this.job.value = job;
     this.best.value = best ?? '';
   }
@@ -53,11 +69,12 @@ export class LearnedOn {
     this.random.required = is('random');
     this.designs.required = is('designs');
     this.job.required = is('population');
+    for (const input of [this.atlas, this.count, this.seed]) input.required = is('atlas');
   }
 
   /** Whether the bodies are not known before the request is sent. */
   get isUnknown() {
-    return this.isAsked && this.choice.value === 'population';
+    return this.isAsked && ['population', 'atlas'].includes(this.choice.value);
   }
 
   /** Returns the part of the request that is known without asking the service. */
@@ -73,6 +90,12 @@ export class LearnedOn {
       const { items } = await post('v1/bodies/random', { count: Number(this.random.value) });
       return { designs: items.map(({ genotype }) => ({ voxels: genotype })) };
     }
+    if (this.choice.value === 'atlas') {
+      const atlas = this.atlas.value;
+      const { sha256 } = this.drawn;
+      return { population: { atlas, count: Number(this.count.value), seed: Number(this.seed.value),
+        ...(atlas === this.drawn.atlas ? { sha256 } : {}) } };
+    }
     const { kind } = await getJson(`v1/jobs/${Number(this.job.value)}`);
     if (!['campaign', 'evaluation'].includes(kind)) {
       throw new Error(`Job ${this.job.value} is of kind ${kind}, which has no population.`);
@@ -87,6 +110,10 @@ export class LearnedOn {
     if (this.choice.value === 'random') return ['--random', this.random.value];
     if (this.choice.value === 'designs') {
       return designsIn(this.designs.value).map(({ id, voxels }) => id ?? voxels);
+    }
+    if (this.choice.value === 'atlas') {
+      return ['--atlas', this.atlas.value, '--count', this.count.value, '--atlas-seed',
+        this.seed.value];
     }
     const best = this.best.value ? ['--best', this.best.value] : [];
     return ['--population', this.job.value, ...best];

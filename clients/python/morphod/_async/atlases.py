@@ -111,6 +111,11 @@ class AsyncStoredAtlas:
         params: dict[str, Any] = {"with": name, "bins": bins}
         return await self._connection.json(Request.get(f"{self._path}/compare", **params))
 
+    def sample(self, count: int, seed: int = 1) -> dict[str, Any]:
+        """Names bodies of the whole ranking as a `population` of a finetuning: one of each of
+        `count` equally large parts, drawn with the seed."""
+        return {"atlas": self.name, "count": count, "seed": seed}
+
     async def save(self, path: str | os.PathLike[str]) -> pathlib.Path:
         """Saves the file."""
         target = pathlib.Path(path)

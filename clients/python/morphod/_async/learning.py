@@ -46,7 +46,8 @@ class Learning:
                        keep: Literal["none", "all"] | None = None, best: int | None = None,
                        **settings: Any) -> AsyncTraining:
         """Starts the training of a controller on bodies, or on a `population` of the service such
-        as `{"campaign": "12"}`; `environments` as in `pretrain`.
+        as `{"campaign": "12"}`, or `StoredAtlas.sample(500)` for bodies of the whole ranking of an
+        atlas; `environments` as in `pretrain`.
 
         With `each`, every body learns alone, from the same controller, and is scored before and
         after: see `Training.each()`. The service then stores none of the controllers, all of them
