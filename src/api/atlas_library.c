@@ -3,7 +3,10 @@
  * An entry is a file under a name, identified as by the file system. Every use looks the name up
  * again, so the files that jobs, requests and operators add, replace or remove are noticed at once,
  * and no other part of the service has to report them. An entry whose name leads elsewhere leaves
- * the list, and is freed when its last user releases it. */
+ * the list, and is freed when its last user releases it.
+ *
+ * Files are opened and indexed without the mutex, so that a slow disk or a large file delays only
+ * the requests for that file: meanwhile, the entry is busy, and others that need it wait. */
 #include "api/atlas_library.h"
 
 #include <errno.h>
@@ -33,6 +36,7 @@ struct mo_atlas_entry {
   struct identity identity;
   uint32_t n_users;
   bool is_listed;
+  bool is_busy;           /* one of its users opens or indexes it */
   uint64_t used;          /* when, by the library's clock */
   struct mo_atlas *atlas; /* NULL: not open */
   struct mo_atlas_index *index;
@@ -52,7 +56,8 @@ void mo_atlas_library_init(struct mo_atlas_library *library, struct mo_store *st
   *library = (struct mo_atlas_library){.store = store,
                                        .describe = describe,
                                        .mutex = PTHREAD_MUTEX_INITIALIZER,
-                                       .heavy = PTHREAD_MUTEX_INITIALIZER};
+                                       .heavy = PTHREAD_MUTEX_INITIALIZER,
+                                       .idle = PTHREAD_COND_INITIALIZER};
   LIST_INIT(&library->entries);
 }
 
@@ -93,6 +98,7 @@ void mo_atlas_library_free(struct mo_atlas_library *library)
     entry = next;
   }
   LIST_INIT(&library->entries);
+  pthread_cond_destroy(&library->idle);
 }
 
 static int identify(const char *path, struct identity *identity)
@@ -209,7 +215,7 @@ static void limit_files(struct mo_atlas_library *library, uint32_t more)
     uint32_t n_open = more;
     LIST_FOREACH(entry, &library->entries, others)
     {
-      n_open += entry->atlas != NULL;
+      n_open += entry->atlas != NULL || entry->is_busy;
       if (entry->atlas != NULL && entry->n_users == 0 &&
           (oldest == NULL || entry->used < oldest->used))
         oldest = entry;
@@ -242,19 +248,48 @@ static bool is_of_content(int error)
   return error == MO_ERR_FORMAT || error == MO_ERR_UNSUPPORTED || error == MO_ERR_CORRUPT;
 }
 
-static int open_file(struct mo_atlas_library *library, struct mo_atlas_entry *entry,
-                     const char *path, struct mo_message *message)
+static void begin_work(struct mo_atlas_library *library, struct mo_atlas_entry *entry)
 {
+  entry->is_busy = true;
+  pthread_mutex_unlock(&library->mutex);
+}
+
+static void end_work(struct mo_atlas_library *library, struct mo_atlas_entry *entry)
+{
+  pthread_mutex_lock(&library->mutex);
+  entry->is_busy = false;
+  pthread_cond_broadcast(&library->idle);
+}
+
+/* Waits until no other user of an entry opens or indexes it. */
+static void await_work(struct mo_atlas_library *library, const struct mo_atlas_entry *entry)
+{
+  while (entry->is_busy)
+    pthread_cond_wait(&library->idle, &library->mutex);
+}
+
+/* Opens the file of an entry that the caller uses. Releases the mutex in between. */
+static int ensure_open(struct mo_atlas_library *library, struct mo_atlas_entry *entry,
+                       const char *path, struct mo_message *message)
+{
+  struct mo_atlas *made = NULL;
+  await_work(library, entry);
+  if (entry->atlas != NULL)
+    return MO_OK;
   if (entry->error != MO_OK) {
     *message = entry->message;
     return entry->error;
   }
   limit_files(library, 1);
-  int error = mo_atlas_open(path, &entry->atlas, message);
-  if (error == MO_OK && !mo_atlas_is_of_store(entry->atlas, message)) {
-    close_file(entry);
+  begin_work(library, entry);
+  int error = mo_atlas_open(path, &made, message);
+  if (error == MO_OK && !mo_atlas_is_of_store(made, message)) {
+    mo_atlas_close(made);
+    made = NULL;
     error = MO_ERR_UNSUPPORTED;
   }
+  end_work(library, entry);
+  entry->atlas = made;
   if (is_of_content(error)) {
     entry->error = error;
     entry->message = *message;
@@ -262,12 +297,28 @@ static int open_file(struct mo_atlas_library *library, struct mo_atlas_entry *en
   return error;
 }
 
+/* The same for the index of an open file. */
 static int ensure_index(struct mo_atlas_library *library, struct mo_atlas_entry *entry)
 {
+  struct mo_atlas_index *made = NULL;
+  await_work(library, entry);
   if (entry->index != NULL)
     return MO_OK;
   limit_memory(library, BYTES_PER_BODY * mo_atlas_bodies_of(entry->atlas));
-  return mo_atlas_index_create(entry->atlas, &entry->index);
+  begin_work(library, entry);
+  const int error = mo_atlas_index_create(entry->atlas, &made);
+  end_work(library, entry);
+  entry->index = made;
+  return error;
+}
+
+static void leave(struct mo_atlas_library *library, struct mo_atlas_entry *entry)
+{
+  entry->n_users--;
+  limit_files(library, 0);
+  limit_memory(library, 0);
+  if (entry->n_users == 0 && !entry->is_listed)
+    discard(entry);
 }
 
 /* Finds the file of a name, and opens it, unless only the description is needed and known. The
@@ -285,30 +336,25 @@ static int take(struct mo_atlas_library *library, const char *name, bool to_desc
   for (int attempt = 0; error == MO_OK && !is_current; attempt++) {
     error = attempt < ATTEMPTS ? find_entry(library, name, path, &entry) : MO_ERR_BUSY;
     is_current = true;
-    const bool is_enough = error == MO_OK && to_describe && entry->description.size > 0;
-    if (error == MO_OK && !is_enough && entry->atlas == NULL) {
-      error = open_file(library, entry, path, message);
+    if (error != MO_OK)
+      break;
+    entry->n_users++;
+    const bool is_enough = to_describe && entry->description.size > 0;
+    if (!is_enough && entry->atlas == NULL) {
+      error = ensure_open(library, entry, path, message);
       is_current = identify(path, &now) != MO_OK || is_same(&now, &entry->identity);
       error = is_current ? error : MO_OK;
     }
+    if (error != MO_OK || !is_current)
+      leave(library, entry);
   }
   free(path);
   if (error != MO_OK)
     return error;
-  entry->n_users++;
   if (!to_describe) /* a list of all atlases does not make a file worth keeping */
     entry->used = ++library->clock;
   *ret = entry;
   return MO_OK;
-}
-
-static void leave(struct mo_atlas_library *library, struct mo_atlas_entry *entry)
-{
-  entry->n_users--;
-  limit_files(library, 0);
-  limit_memory(library, 0);
-  if (entry->n_users == 0 && !entry->is_listed)
-    discard(entry);
 }
 
 /* ---- use ---- */
@@ -371,7 +417,7 @@ void mo_atlas_release(struct mo_atlas_library *library, struct mo_atlas_use *use
   *use = (struct mo_atlas_use){.entry = NULL};
 }
 
-/* Writes the description of an entry that the caller uses. */
+/* Writes the description of an entry that the caller uses, without the mutex. */
 static int write_description(struct mo_atlas_library *library, struct mo_atlas_entry *entry,
                              struct mo_text *text)
 {
@@ -382,13 +428,16 @@ static int write_description(struct mo_atlas_library *library, struct mo_atlas_e
   const struct mo_atlas_facts facts = {.name = entry->name,
                                        .bytes = (uint64_t)entry->identity.size,
                                        .modified_us = entry->identity.modified_ns / 1000};
-  if (error == MO_OK)
+  if (error == MO_OK) {
+    pthread_mutex_unlock(&library->mutex);
     error = library->describe(&use, &facts, &written);
+    pthread_mutex_lock(&library->mutex);
+  }
   if (error == MO_OK && written.failed)
     error = MO_ERR_NO_MEMORY;
   if (error == MO_OK) {
     mo_text_bytes(text, written.data, written.size);
-    if (written.size <= KEPT_BYTES) {
+    if (written.size <= KEPT_BYTES && entry->description.size == 0) {
       entry->description = written;
       written = (struct mo_text){0};
     }

@@ -42,8 +42,9 @@ struct mo_atlas_library {
   /* Writes what is to be kept about a file: once, when it is first described. */
   int (*describe)(const struct mo_atlas_use *use, const struct mo_atlas_facts *facts,
                   struct mo_text *text);
-  pthread_mutex_t mutex; /* of everything below; held while a file is opened or indexed (0.2 s) */
+  pthread_mutex_t mutex; /* of everything below; never held for long */
   pthread_mutex_t heavy; /* held while basins are made (3 s); locked before the other one */
+  pthread_cond_t idle;   /* an entry is no longer being opened or indexed */
   LIST_HEAD(, mo_atlas_entry) entries;
   uint64_t clock; /* counts uses */
 };
