@@ -15,7 +15,7 @@ from selenium.webdriver.common.keys import Keys
 import atlases
 from browser import Browser
 from contract import SOURCE
-from service import DESIGN
+from service import DESIGN, await_end
 from test_pages import ACCESSIBILITY
 
 ANSWERS = pathlib.Path(os.environ.get("MORPHOD", SOURCE / "build" / "src" / "daemon" / "morphod"))
@@ -482,6 +482,36 @@ def test_builds_are_shown(service, browser):
         browser.until("document.title === 'Atlas quick · morphod'")
         browser.until("/under the controller and physics of the atlas/"
                       ".test(document.querySelector('.walk-words').innerText)", 300)
+    assert browser.faults() == []
+
+
+# Holds back what a list says about builds until window.go.
+HOLD = """
+const { fetch } = window;
+window.fetch = async (resource, ...how) => {
+  const isBuilds = String(resource.url ?? resource).includes('kind=atlas');
+  while (isBuilds && !window.go) await new Promise((later) => setTimeout(later, 20));
+  return fetch(resource, ...how);
+};
+"""
+
+
+def test_a_build_that_ends_is_in_the_list(service, browser):
+    """Also if it ends between the requests for atlases and for builds."""
+    listed = "[...document.querySelectorAll('main table a')].some((e) => e.innerText === 'late')"
+    request = {"voxels": 6, "name": "late", "physics": {"n_steps": 100},
+               "orientations": "canonical"}
+    with deleted(service, "late"):
+        id = service.post("/v1/atlases", request)["id"]
+        service.act(id, "pause")
+        browser.open("atlas")
+        browser.until("document.querySelector('article h2')?.innerText === 'Building late'")
+        browser.run(HOLD)
+        service.act(id, "resume")
+        assert await_end(service, f"/v1/jobs/{id}").json()["state"] == "succeeded"
+        browser.run("window.go = true")
+        browser.until(listed, 30)
+        browser.until("!document.querySelector('article')")
     assert browser.faults() == []
 
 
