@@ -2,6 +2,7 @@
 #include "api/atlas_json.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -168,13 +169,22 @@ static bool read_real(struct mo_request *request, const char *name, float *value
 
 bool mo_atlas_query_range(struct mo_request *request, float *lo, float *hi)
 {
-  if (!read_real(request, "lo", lo) || !read_real(request, "hi", hi))
+  return mo_atlas_query_interval(request, "lo", "hi", lo, hi);
+}
+
+bool mo_atlas_query_interval(struct mo_request *request, const char *low, const char *high,
+                             float *lo, float *hi)
+{
+  char words[160];
+  if (!read_real(request, low, lo) || !read_real(request, high, hi))
     return false;
   if (*lo < *hi)
     return true;
-  mo_reply_bad_parameter(request, mo_query(request, "lo") != NULL ? "lo" : "hi",
-                         "lo must be below hi; without one of them, the other must be within the "
-                         "range of the scores or values");
+  snprintf(words, sizeof(words),
+           "%s must be below %s; without one of them, the other must be within the range of the "
+           "scores or values",
+           low, high);
+  mo_reply_bad_parameter(request, mo_query(request, low) != NULL ? low : high, words);
   return false;
 }
 

@@ -27,6 +27,8 @@ bool mo_atlas_query_voxels(struct mo_request *request, const struct mo_atlas_use
                            uint32_t *n_voxels);
 /* Read `lo` and `hi`, which do not change if they are absent; lo must be below hi. */
 bool mo_atlas_query_range(struct mo_request *request, float *lo, float *hi);
+bool mo_atlas_query_interval(struct mo_request *request, const char *low, const char *high,
+                             float *lo, float *hi); /* the same by other names */
 
 /* Reads `measure`, one that the atlas has: of enum mo_measure; −1 if it is absent. */
 bool mo_atlas_query_measure(struct mo_request *request, const struct mo_atlas_use *use,

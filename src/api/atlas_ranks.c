@@ -58,6 +58,63 @@ static void find_range(const struct mo_request *request, const struct mo_atlas_u
                 counts[0];
 }
 
+/* What a list shows of an ordered range: all of it, or the bodies with some scores. */
+struct part {
+  const struct mo_atlas_use *use;
+  const struct order *order;
+  uint32_t n_voxels;
+  uint64_t first, n; /* the range in the order */
+  bool is_filtered;
+  float lo, hi; /* lo ≤ score < hi, if it is filtered */
+};
+
+/* Reads `score_lo` and `score_hi`, which need a measure. Returns false if it has replied. */
+static bool read_scores(struct mo_request *request, struct part *part)
+{
+  const bool has_lo = mo_query(request, "score_lo") != NULL;
+  part->is_filtered = has_lo || mo_query(request, "score_hi") != NULL;
+  if (part->is_filtered && part->order->measure < 0) {
+    mo_reply_bad_parameter(request, has_lo ? "score_lo" : "score_hi",
+                           "needs a measure; without one, lo and hi are scores");
+    return false;
+  }
+  return mo_atlas_query_interval(request, "score_lo", "score_hi", &part->lo, &part->hi);
+}
+
+static uint64_t nth_of(const struct part *part, uint64_t i)
+{
+  return mo_atlas_nth(part->order->index, part->n_voxels, part->first + i);
+}
+
+/* Writes those bodies of a filtered part, at most `limit`, that follow its first `skipped`. Returns
+ * how many bodies the part has. */
+static uint64_t write_filtered(struct mo_text *text, const struct part *part, uint64_t skipped,
+                               uint64_t limit)
+{
+  uint64_t n = 0;
+  for (uint64_t i = 0; i < part->n; i++) {
+    const uint64_t position = nth_of(part, i);
+    const float score = mo_atlas_score(part->use->atlas, position);
+    if (score < part->lo || score >= part->hi)
+      continue;
+    if (n >= skipped && n - skipped < limit)
+      mo_atlas_item_body(text, part->use, position);
+    n++;
+  }
+  return n;
+}
+
+/* The same for any part. */
+static uint64_t write_part(struct mo_text *text, const struct part *part, uint64_t skipped,
+                           uint64_t limit)
+{
+  if (part->is_filtered)
+    return write_filtered(text, part, skipped, limit);
+  for (uint64_t i = skipped; i < part->n && i - skipped < limit; i++)
+    mo_atlas_item_body(text, part->use, nth_of(part, i));
+  return part->n;
+}
+
 void mo_api_get_atlas_best(struct mo_request *request)
 {
   struct mo_atlas_use use;
@@ -70,18 +127,20 @@ void mo_api_get_atlas_best(struct mo_request *request)
   if (!mo_query_limit(request, &limit) || !mo_query_cursor(request, &cursor) ||
       !mo_atlas_begin(request, MO_ATLAS_NEED_INDEX, &use))
     return;
+  struct part part = {.use = &use, .order = &order, .lo = -INFINITY, .hi = INFINITY};
   if (mo_atlas_query_voxels(request, &use, &n_voxels) && mo_atlas_query_range(request, &lo, &hi) &&
-      begin_order(request, &use, true, &order)) {
+      begin_order(request, &use, true, &order) && read_scores(request, &part)) {
     uint64_t counts[2] = {0}; /* before the range, and in it */
     const uint64_t skipped = cursor > 0 ? (uint64_t)cursor : 0;
     find_range(request, &use, &order, n_voxels, lo, hi, counts);
-    uint64_t i = skipped;
+    part.n_voxels = n_voxels;
+    part.first = counts[0];
+    part.n = counts[1];
     mo_text_add(&text, "{\"items\":[");
-    for (; i < counts[1] && i - skipped < limit; i++)
-      mo_atlas_item_body(&text, &use, mo_atlas_nth(order.index, n_voxels, counts[0] + i));
+    const uint64_t n = write_part(&text, &part, skipped, limit);
     mo_text_add(&text, "]");
-    mo_text_member_count(&text, "bodies", counts[1]);
-    mo_text_member_id(&text, "next_cursor", i < counts[1] ? (int64_t)i : -1);
+    mo_text_member_count(&text, "bodies", n);
+    mo_text_member_id(&text, "next_cursor", skipped + limit < n ? (int64_t)(skipped + limit) : -1);
     mo_text_add(&text, "}");
     mo_reply_text(request, MO_OK, &text, "page");
   }

@@ -8,7 +8,7 @@ import struct
 
 import pytest
 
-from atlases import MEASURES, Plain, file_of
+from atlases import INFINITY, MEASURES, Plain, file_of
 from ctl import ctl  # noqa: F401
 from test_atlases import put, tau
 
@@ -80,6 +80,27 @@ def test_in_the_order_of_a_measure(service, plain, order, voxels):
             ] == inside
 
 
+@pytest.mark.parametrize("order", ("descending", "ascending"))
+@pytest.mark.parametrize("score_lo, score_hi", [(None, 0.5), (0.25, None), (0.25, 0.5), (2, 3)])
+def test_with_a_range_of_scores(service, plain, order, score_lo, score_hi):
+    """A part of the map: the page and its number of bodies are of this part."""
+    values, scores = plain.measures[SPEED], plain.scores
+    ends = "".join(f"&{name}={end}" for name, end in (("score_lo", score_lo),
+                                                      ("score_hi", score_hi)) if end is not None)
+    for range_of_values in ("", "&lo=-1.5&hi=2"):
+        expected = [i for i in plain.by(SPEED, order != "ascending", range(124))
+                    if (score_lo or 0) <= scores[i] < (score_hi or INFINITY) and
+                    (not range_of_values or -1.5 <= values[i] < 2)]
+        found, cursor = [], "0"
+        while cursor is not None:
+            page = service.get(f"{OF}/best?measure={SPEED}&order={order}{ends}{range_of_values}"
+                               f"&limit=7&cursor={cursor}")
+            assert page["bodies"] == len(expected)
+            found += [item["position"] for item in page["items"]]
+            cursor = page["next_cursor"]
+        assert found == expected
+
+
 def test_histogram_of_a_measure(service, plain):
     values = plain.measures[SPEED]
     shown = service.get(f"{OF}/histogram?measure={SPEED}&bins=7")
@@ -124,6 +145,9 @@ def test_scores_are_in_other_order(service, plain):
     ("measured/best?measure=speed", "measure", "work_j"),
     ("measured/best?order=descending", "order", "needs a measure"),
     ("measured/best?measure=work_j&order=up", "order", "ascending"),
+    ("measured/best?score_lo=0.5", "score_lo", "needs a measure"),
+    ("measured/best?score_hi=0.5", "score_hi", "needs a measure"),
+    ("measured/best?measure=work_j&score_lo=1&score_hi=0", "score_lo", "must be below score_hi"),
     ("measured/histogram?measure=tilt_rad", "measure", "mean_speed_m_per_s"),
     ("measured/map", "measure", "give a measure"),
     ("measured/map?measure=work_j&bins=0", "bins", "1"),

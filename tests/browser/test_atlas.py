@@ -420,6 +420,51 @@ def choose_the_axis(page, plain):
     assert page.run(ACCESSIBILITY) == []
 
 
+PAIRS = "[aria-label='Score and measure']"
+
+
+def brush_the_map(page, plain):
+    """A drag over scores and values lists the bodies there, and arrow keys do the same."""
+    page.run(f"const e = document.querySelector(`{PAIRS} select`);"
+             f"e.value = '{SPEED}'; e.dispatchEvent(new Event('change'))")
+    page.until(f"document.querySelector(`{PAIRS} p`).innerText.includes('Kendall')")
+    without = sum(value != value for value in plain.measures[SPEED])
+    assert f"{without} bodies have no value" in page.texts(f"{PAIRS} p")[0]
+    page.run(f"const e = document.querySelector(`{PAIRS} canvas`);"
+             "const { left, top, width, height } = e.getBoundingClientRect();"
+             "e.setPointerCapture = () => {};"
+             "for (const [type, x, y] of [['pointerdown', 0.2, 0.2], ['pointermove', 0.8, 0.8],"
+             " ['pointerup', 0.8, 0.8]]) e.dispatchEvent(new PointerEvent(type, { button: 0,"
+             " clientX: left + x * width, clientY: top + y * height, bubbles: true }));")
+    words = check_the_brush(page, plain)
+    page.run(f"const e = document.querySelector(`{PAIRS} canvas`);"
+             "for (const key of ['ArrowRight', 'ArrowUp', 'ArrowUp', 'ArrowUp']) e.dispatchEvent("
+             "new KeyboardEvent('keydown', { key, shiftKey: true, bubbles: true }));")
+    page.until(f"document.querySelector(`{PAIRS} p`).innerText !== {words!r}")
+    check_the_brush(page, plain)
+    assert page.run(ACCESSIBILITY) == []
+
+
+def check_the_brush(page, plain):
+    """Compares the list with what the words above it say. Returns the words."""
+    page.until(f"document.querySelector(`{PAIRS} p`).innerText.includes('with scores from')")
+    page.until(f"document.querySelectorAll(`{PAIRS} .card`).length > 1")
+    words = page.texts(f"{PAIRS} p")[0]
+    ranges = words.split(": ")[0].split(" with scores from ")[1]
+    scores, values = ranges.split(f" and {SPEED} from ")
+    (a, b), (lo, hi) = ([float(text) for text in part.split(" to ")] for part in (scores, values))
+    assert a < b and lo < hi
+    listed = {item["id"] for item in (plain.body(i) for i in range(124)
+                                      if a - 1e-3 <= plain.scores[i] <= b + 1e-3 and
+                                      lo - 1e-2 <= plain.measures[SPEED][i] <= hi + 1e-2)}
+    ids = page.run(f"return [...document.querySelectorAll(`{PAIRS} .card`)].map((e) => "
+                   "e.dataset.id)")
+    assert set(ids) <= listed and len(set(ids)) == len(ids)
+    n = int(words.split()[0])
+    assert len(ids) == min(n, 24)
+    return words
+
+
 def test_measures_in_a_site(measured, tmp_path):
     """Every number of the reader is that of a plain reading; the axis of the map can be chosen."""
     plain = atlases.Plain(measured)
@@ -457,6 +502,7 @@ def test_measures_of_a_service(service, browser, measured):
         browser.open("atlas/page-measured")
         browser.until("document.querySelector('.better-than')")
         choose_the_axis(browser, atlases.Plain(measured))
+        brush_the_map(browser, atlases.Plain(measured))
 
 
 def test_builds_are_shown(service, browser):

@@ -32,8 +32,12 @@ export class AtlasHttp {
     return this.#get('/ascent', { design }, signal);
   }
 
-  best({ voxels, lo, hi, limit = 100, measure, signal } = NONE) {
-    return this.#get('/best', { voxels, lo, hi, limit, measure }, signal);
+  best({ signal, ...query } = NONE) {
+    return this.#get('/best', { limit: 100, ...query }, signal);
+  }
+
+  map(measure, { bins = 64, signal } = NONE) {
+    return this.#get('/map', { measure, bins }, signal);
   }
 
   histogram({ bins = 64, lo, hi, measure, signal } = NONE) {

@@ -9,6 +9,7 @@ import { loadSheet } from '../lib/sheet.js';
 import { AtlasHttp } from '../lib/atlas_http.js';
 import { AtlasCompare } from './atlas_compare.js';
 import { AtlasPage, startOf, taskTitle } from './atlas_page.js';
+import { AtlasPairs } from './atlas_pairs.js';
 import { AtlasWalk } from './atlas_walk.js';
 import { trayButton } from './add.js';
 import { JobParts } from './jobs.js';
@@ -46,6 +47,7 @@ export async function mount(main, [name], parameters, app) {
       h('a.button', { href: `#/lab?voxels=${genotype}` }, 'Open in the Lab')],
     others: items.length > 1 ? choice('Atlas', items.map((one) => one.name), name,
       (other) => app.go(`atlas/${other}`, { voxels: page.body })) : null,
+    pairs: about.measures.length ? (of) => new AtlasPairs(of) : null,
     compare: items.length > 1 ? (of) => new AtlasCompare(of, items.map((one) => one.name)
       .filter((other) => other !== name)) : null,
   });

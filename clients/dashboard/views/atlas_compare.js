@@ -1,14 +1,11 @@
 /** Two atlases compared: how many bodies have which pair of scores. */
 
-import { announce, choice, fill, h, paint, say } from '../lib/dom.js';
+import { announce, choice, fill, h, say } from '../lib/dom.js';
 import { count, score } from '../lib/format.js';
-import { ticks } from '../lib/chart.js';
 import { AtlasHttp } from '../lib/atlas_http.js';
+import { AtlasSquare } from './atlas_square.js';
 
 const BINS = 64;
-const LEFT_PX = 56;
-const BOTTOM_PX = 40;
-const MARGIN_PX = 10;
 const NONE = 'Compare with…';
 
 /** Explains what Kendall's τ means. */
@@ -35,23 +32,19 @@ export class AtlasCompare {
     this.found = null;
     /** @type {any} */
     this.other = null;
-    this.canvas = h('canvas.square', { role: 'img', hidden: true });
+    this.square = new AtlasSquare(page.app);
     this.words = h('p.muted', { role: 'status' }, 'Another task, or another controller: do the ' +
       'same bodies win?');
     this.bests = h('div.strip.wraps');
     this.element = h('section.panel.stack', { 'aria-label': 'Compare' }, h('div.row', {},
       h('h2', {}, 'Two atlases'), choice('Compare with', [['', NONE], ...names], '',
         (name) => this.#show(name))), this.words,
-    h('div.row.compare', {}, this.canvas, this.bests));
-    this.resize = new ResizeObserver(() => this.#draw());
-    this.resize.observe(this.canvas);
-    this.onTheme = () => this.#draw();
-    page.app.themeListeners.add(this.onTheme);
+    h('div.row.compare', {}, this.square.canvas, this.bests));
   }
 
   async #show(name) {
     const turn = ++this.turn;
-    this.canvas.hidden = !name;
+    this.square.show(null);
     fill(this.bests);
     this.found = null;
     if (!name) return;
@@ -75,12 +68,12 @@ export class AtlasCompare {
         page.card(best, { title: `best of ${here}`, words: h('span.muted', {}, there
           ? `${score(there.score)}, rank ${count(there.rank)}, in ${away}`
           : `not in ${away}`) })));
-      this.canvas.setAttribute('aria-label', `Scores in ${page.atlas.name} and in ${name}. ` +
-        this.words.textContent);
+      this.square.show({ a: found.edges_a, b: found.edges_b, counts: found.counts,
+        names: [`◂ better in ${page.atlas.name}`, `◂ better in ${name}`] },
+      `Scores in ${page.atlas.name} and in ${name}. ${this.words.textContent}`);
       this.mark(page.shown);
     } catch (error) {
       if (turn !== this.turn) return;
-      this.canvas.hidden = true;
       say(this.words, error.message);
     }
   }
@@ -89,63 +82,19 @@ export class AtlasCompare {
   async mark(body) {
     if (!this.found) return;
     const turn = ++this.turn;
-    this.at = null;
+    this.square.mark(null);
     try {
       const there = body && await this.other.inOther(body);
       if (turn !== this.turn) return;
-      this.at = there && [body.score, there.score];
+      this.square.mark(there && [body.score, there.score]);
     } catch (error) {
       if (turn !== this.turn) return;
       announce(error.message, { isRefusal: true });
     }
-    this.#draw();
-  }
-
-  #draw() {
-    const painted = this.found && paint(this.canvas);
-    if (!painted) return;
-    const { context, width, height, color } = painted;
-    const { edges_a: a, edges_b: b, counts } = this.found;
-    const [right, bottom] = [width - MARGIN_PX, height - BOTTOM_PX];
-    const x = (v) => LEFT_PX + (v - a[0]) / (a.at(-1) - a[0] || 1) * (right - LEFT_PX);
-    const y = (v) => bottom - (v - b[0]) / (b.at(-1) - b[0] || 1) * (bottom - MARGIN_PX);
-    const most = Math.log1p(Math.max(...counts.flat()));
-    context.fillStyle = color('--blue');
-    counts.forEach((row, i) => row.forEach((n, j) => {
-      if (!n) return;
-      context.globalAlpha = 0.15 + 0.85 * Math.log1p(n) / most;
-      context.fillRect(x(a[i]), y(b[j + 1]), x(a[i + 1]) - x(a[i]), y(b[j]) - y(b[j + 1]));
-    }));
-    context.globalAlpha = 1;
-    context.strokeStyle = color('--line');
-    context.strokeRect(LEFT_PX, MARGIN_PX, right - LEFT_PX, bottom - MARGIN_PX);
-    context.fillStyle = color('--muted');
-    context.textAlign = 'center';
-    for (const v of ticks(a[0], a.at(-1), 5)) context.fillText(v.toPrecision(2), x(v), bottom + 15);
-    context.fillText(`◂ better in ${this.page.atlas.name}`, (LEFT_PX + right) / 2, height - 6);
-    context.textAlign = 'right';
-    for (const v of ticks(b[0], b.at(-1), 5)) {
-      context.fillText(v.toPrecision(2), LEFT_PX - 5, y(v) + 4);
-    }
-    context.save();
-    context.translate(13, (MARGIN_PX + bottom) / 2);
-    context.rotate(-Math.PI / 2);
-    context.textAlign = 'center';
-    context.fillText(`◂ better in ${this.other.name}`, 0, 0);
-    context.restore();
-    if (!this.at || this.at.includes(null)) return;
-    context.beginPath();
-    context.arc(x(this.at[0]), y(this.at[1]), 7, 0, 2 * Math.PI);
-    context.fillStyle = color('--mark');
-    context.fill();
-    context.lineWidth = 2;
-    context.strokeStyle = color('--panel');
-    context.stroke();
   }
 
   destroy() {
     this.turn++;
-    this.resize.disconnect();
-    this.page.app.themeListeners.delete(this.onTheme);
+    this.square.destroy();
   }
 }

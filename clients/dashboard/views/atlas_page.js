@@ -43,11 +43,12 @@ export class AtlasPage {
    * @param {any} atlas AtlasFile or AtlasHttp
    * @param {any} about its description
    * @param {{app: any, walker: any, links?: function(string): any[], others?: any,
-   *   compare?: function(any): any}} parts walker:
+   *   pairs?: function(any): any, compare?: function(any): any}} parts walker:
    *   has element, show(genotype, id) and close(); links: what else can be done with a body;
-   *   others: goes beside the title; compare: makes the last section
+   *   others: goes beside the title; pairs, compare: make the last sections
    */
-  constructor(atlas, about, { app, walker, links = () => [], others = null, compare = null }) {
+  constructor(atlas, about, { app, walker, links = () => [], others = null, pairs = null,
+    compare = null }) {
     this.atlas = atlas;
     this.about = about;
     this.app = app;
@@ -63,13 +64,14 @@ export class AtlasPage {
     this.steps = new AtlasSteps(this);
     this.map = new AtlasMap(this);
     this.optima = new AtlasOptima(this);
+    this.pairs = pairs?.(this);
     this.compare = compare?.(this);
     this.numbers = h('div.atlas-numbers', { role: 'status' });
     this.watch = h('section.panel.flush.watch', { 'aria-label': 'Where it stands' },
       this.numbers, walker.element);
     this.element = h('div.atlas', {}, this.#head(others), this.#sizes(),
       h('div.grid.lab', {}, this.draw.element, this.watch), this.steps.elements,
-      this.map.element, this.optima.element, this.compare?.element);
+      this.map.element, this.pairs?.element, this.optima.element, this.compare?.element);
   }
 
   /** The body as drawn. */
@@ -193,6 +195,7 @@ export class AtlasPage {
   #mark(body) {
     this.shown = body;
     this.map.mark(body);
+    this.pairs?.mark(body);
     this.compare?.mark(body);
   }
 
@@ -224,6 +227,7 @@ export class AtlasPage {
     this.turn++;
     this.draw.destroy();
     this.map.destroy();
+    this.pairs?.destroy();
     this.compare?.destroy();
     this.walker.close();
   }
