@@ -125,7 +125,7 @@ const struct mo_atlas_source *mo_atlas_source_of(const struct mo_atlas *atlas);
 /* Returns the environments; *n: their number. */
 const struct mo_environment *mo_atlas_environments(const struct mo_atlas *atlas, uint32_t *n);
 uint64_t mo_atlas_bodies_of(const struct mo_atlas *atlas); /* in all */
-/* Computes the SHA-256 of the whole file: 34 MB take a tenth of a second. */
+/* Computes the SHA-256 of the whole file. */
 void mo_atlas_hash(const struct mo_atlas *atlas, uint8_t sha256[32]);
 /* Returns the number of bodies of n_voxels voxels; *first (nullable): the position of the first. */
 uint64_t mo_atlas_size(const struct mo_atlas *atlas, uint32_t n_voxels, uint64_t *first);
