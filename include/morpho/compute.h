@@ -239,9 +239,10 @@ const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute);
 /* ---- remote takers: machines that compute blocks from this back end's queues ---- */
 
 /* Work taken by a remote taker. It is either blocks: batch blocks in float32, without recordings
- * and measures, and with `body` NULL, all of one share, one controller and one physics; the
- * submitters still own them. Or it is one shard of a gradient on the CPU or on expected devices, if
- * the batch has a share, is not urgent, and includes its genotypes. */
+ * and states, with `body` NULL, all of one share, one controller and one physics, and either all
+ * with all measures or all without measures; the submitters still own them. Or it is one shard of a
+ * gradient on the CPU or on expected devices, if the batch has a share, is not urgent, and includes
+ * its genotypes. */
 struct mo_taken {
   enum mo_back_end back_end;
   uint32_t n_blocks, n_rows;              /* a row is one rollout; a shard counts as one block */
