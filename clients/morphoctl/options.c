@@ -148,8 +148,25 @@ static const struct option_spec *find_option(const struct command *command, cons
   return NULL;
 }
 
-static _Noreturn void refuse_option(const struct command *command, const char *text, size_t length)
+/* Returns the option of the command that has no letter here, but this letter in other commands.
+ * NULL: none. */
+static const struct option_spec *find_without_letter(const struct ctl *ctl, char letter)
 {
+  for (size_t i = 0; i < ctl->n_commands; i++)
+    for (const struct option_spec *other = ctl->commands[i].options;
+         other != NULL && other->name != NULL; other++) {
+      const struct option_spec *spec =
+          other->letter == letter ? find_option(ctl->command, other->name, strlen(other->name))
+                                  : NULL;
+      if (spec != NULL)
+        return spec;
+    }
+  return NULL;
+}
+
+static _Noreturn void refuse_option(const struct ctl *ctl, const char *text, size_t length)
+{
+  const struct command *command = ctl->command;
   const char *names[64];
   char name[64] = "";
   size_t n = 0;
@@ -158,6 +175,10 @@ static _Noreturn void refuse_option(const struct command *command, const char *t
     for (const struct option_spec *spec = lists[l]; spec != NULL && spec->name != NULL && n < 64;
          spec++)
       names[n++] = spec->name;
+  const struct option_spec *spec = text[1] != '-' ? find_without_letter(ctl, text[1]) : NULL;
+  if (spec != NULL)
+    fail(STATUS_USAGE, "%.2s is not an option of %s; write --%s%s%s", text, command->name,
+         spec->name, spec->value != NULL ? " " : "", spec->value != NULL ? spec->value : "");
   if (length > 2)
     snprintf(name, sizeof(name), "%.*s", (int)length - 2, text + 2);
   const char *near = *name != 0 ? did_you_mean("--", name, names, n, sizeof(*names)) : "";
@@ -262,7 +283,7 @@ static void parse_words(struct ctl *ctl, int n, const char *const *words)
     }
     struct option_word option = read_option(ctl->command, word);
     if (option.spec == NULL)
-      refuse_option(ctl->command, word, option.length);
+      refuse_option(ctl, word, option.length);
     if (option.spec->value == NULL && option.value != NULL)
       fail(STATUS_USAGE, "--%s takes no value", option.spec->name);
     if (option.spec->value != NULL && option.value == NULL) {

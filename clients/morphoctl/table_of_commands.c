@@ -223,7 +223,7 @@ static const struct option_spec train_prune_options[] = {
 static const struct option_spec train_compare_options[] = {
     {"seed", 0, "SEED", "Seed of the held-out set (default: 1)."},
     {"designs", 'd', "N", "Designs of the set, 2 to 1,000 (default: 64)."},
-    {"environments", 'e', "N", "Environments of each design, 1 to 64 (default: 16)."},
+    {"environments", 0, "N", "Environments of each design, 1 to 64 (default: 16)."},
     {PHYSICS},
     {NULL}};
 static const struct option_spec campaign_start_options[] = {

@@ -534,6 +534,9 @@ def test_train_compare():
     out = ask(replies, "train compare old new")[0]
     assert "No significant difference" in out
     assert "most designs are better with new (sign test, p = 0.021)" in out
+    # -e is a set of environments in other commands.
+    _, err, _ = ask([], "train compare old new -e 16", status=2)
+    assert "-e is not an option of train compare; write --environments N" in err, err
     # An unknown name is reported before anything is computed.
     _, _, seen = ask(known[:2] + [reply(404, {"title": "T", "detail": "D"})],
                          "train compare old no-such", status=3)

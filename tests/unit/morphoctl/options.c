@@ -29,6 +29,7 @@ static void commands_are_sound(void)
       for (const struct option_spec *other = common_options; other->name != NULL; other++) {
         CHECK(strcmp(spec->name, other->name) != 0);
         CHECK(spec->letter == 0 || spec->letter != other->letter);
+        CHECK(spec->letter != 'e' || strncmp(spec->value, "SET", 3) == 0); /* not a number */
       }
   }
 }
