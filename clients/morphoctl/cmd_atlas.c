@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "commands.h"
+#include "differences.h"
 #include "download.h"
 #include "results.h"
 
@@ -222,6 +223,7 @@ void run_atlas_map(struct ctl *ctl)
 void run_atlas_compare(struct ctl *ctl)
 {
   const int64_t bins = option_number(ctl, "bins", 1, MAP_BINS_MAX, 24);
+  require_distinct(ctl, "atlas");
   show(ctl,
        path_to("%s?with=%s&bins=%d", atlas_path(ctl, "/compare"), escape(ctl->operands[1]),
                (int)bins),

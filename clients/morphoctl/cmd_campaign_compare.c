@@ -229,6 +229,7 @@ void run_campaign_compare(struct ctl *ctl)
   const size_t n = ctl->n_operands;
   if (n > SIDES_MAX)
     fail(STATUS_USAGE, "at most %d campaigns can be compared, got %zu", SIDES_MAX, n);
+  require_distinct(ctl, "campaign");
   int64_t generation = INT64_MAX;
   for (size_t i = 0; i < n; i++)
     campaigns[i] = get_json(ctl, "/v1/campaigns/%s", job_id(ctl->operands[i]));

@@ -222,6 +222,7 @@ void run_train_compare(struct ctl *ctl)
 {
   struct side sides[2] = {{.name = ctl->operands[0]}, {.name = ctl->operands[1]}};
   const int64_t seed = option_number(ctl, "seed", 0, (INT64_C(1) << 53) - 1, 1),
+  require_distinct(ctl, "controller");
                 n_designs = option_number(ctl, "designs", 2, 1000, 64),
                 n_environments = option_number(ctl, "environments", 1, 64, 16);
   const json_t *held_out =

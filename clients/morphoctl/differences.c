@@ -31,6 +31,15 @@ json_t *differences_of(const json_t *a, const json_t *b)
   return found;
 }
 
+void require_distinct(const struct ctl *ctl, const char *noun)
+{
+  for (size_t i = 1; i < ctl->n_operands; i++)
+    for (size_t k = 0; k < i; k++)
+      if (strcmp(ctl->operands[i], ctl->operands[k]) == 0)
+        fail(STATUS_USAGE, "%s %s is given twice: there is nothing to compare", noun,
+             ctl->operands[i]);
+}
+
 const char *short_text(const json_t *value)
 {
   const char *text =

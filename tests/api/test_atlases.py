@@ -513,12 +513,12 @@ def test_commands(service, atlas, plain, ctl, tmp_path):  # noqa: F811
     assert len(run("best five --limit 200").splitlines()) == 125
     assert len(run("optima five -n 2").splitlines()) == 3
     assert len(run("histogram five --bins 7").splitlines()) == 8  # and one for diverged bodies
-    assert "Kendall's tau  1.0000" in run("compare five five --bins 4")
     file = tmp_path / "mine.atlas"
     run("download five --output", str(file))
     assert file.read_bytes() == file_of(levels=20)
     assert "124 bodies" in run("upload from-morphoctl", str(file))
     assert service.get("/v1/atlases/from-morphoctl")["bodies"] == 124
+    assert "Kendall's tau  1.0000" in run("compare five from-morphoctl --bins 4")
     run("delete from-morphoctl")
     for command, code, words in (
             ("show from-morphoctl", 3, "no such atlas"), ("body five", 2, "--position"),

@@ -57,6 +57,8 @@ def test_campaigns(m, ctl):  # noqa: F811
     for campaigns in ([a], [a[0]], [m.campaigns(experiment="no such")]):
         with pytest.raises(morphod.MorphodError, match="at least two campaigns"):
             m.compare_campaigns(*campaigns)
+    with pytest.raises(morphod.MorphodError, match=f"campaign {a[1].id} is given twice"):
+        m.compare_campaigns(a[1], b, int(a[1].id))
     with pytest.raises(morphod.NotFoundError):
         m.compare_campaigns(a[0], 10**9)
 

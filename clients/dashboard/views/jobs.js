@@ -155,5 +155,9 @@ export function comparedIn(parameters, id) {
     throw new LinkError(`compare names ${ids.length} jobs; ${COMPARED_MAX} can be compared with ` +
       `${id} on one page.`);
   }
+  const twice = ids.find((one, i) => one === id || ids.indexOf(one) !== i);
+  if (twice !== undefined) {
+    throw new LinkError(`compare=${twice}: this job is on the page already.`);
+  }
   return ids;
 }

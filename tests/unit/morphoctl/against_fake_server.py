@@ -545,6 +545,12 @@ def test_train_compare():
     same = [{"name": name, "sha256": "e" * 64} for name in ("old", "new")]
     _, err, seen = ask([held_out, *same], "train compare old new", status=3)
     assert "old and new are the same controller (sha256:eee" in err and len(seen) == 3, err
+    # Anything is refused that is given twice, before a request.
+    for command, noun in (("train", "controller old"), ("campaign", "campaign 7"),
+                          ("atlas", "atlas walk")):
+        name = noun.split()[1]
+        _, err, seen = ask([], f"{command} compare {name} {name}", status=2)
+        assert f"{noun} is given twice: there is nothing to compare" in err and not seen, err
     for scores, verdict, words in (
         ([0.5, 0.6, 0.5, 0.6, 0.5], "better", "b is better than a"),
         ([1.5, 1.6, 1.5, 1.6, 1.5], "worse", "b is worse than a"),

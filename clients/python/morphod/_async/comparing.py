@@ -30,6 +30,9 @@ def sides_of(campaigns: Sequence[str | int | AsyncCampaign | AsyncCampaigns]) ->
     if len(ids) < 2:
         raise MorphodError(f"a comparison needs at least two campaigns, got {len(ids)}; a campaign "
                            "and its replicates count as one")
+    for id in ids:
+        if ids.count(id) > 1:
+            raise MorphodError(f"campaign {id} is given twice: there is nothing to compare")
     return ids
 
 
