@@ -26,6 +26,8 @@ void mo_atlas_refuse(struct mo_request *request, const char *name, int error,
         "atlases/%s.atlas in the state folder of the service cannot be used: " MO_ATLAS_CANNOT_READ
         ".",
         name);
+  else if (error == MO_ERR_NOT_FOUND)
+    mo_reply_missing(request, "atlas", name);
   else
     mo_reply_error(request, error, "atlas");
 }

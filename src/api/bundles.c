@@ -15,7 +15,7 @@ static bool check_ended(struct mo_request *request, int64_t id, struct mo_campai
   const int error = mo_store_campaign(mo_api_of(request)->store, id, status);
   const enum mo_job_state state = status->job.state;
   if (error != MO_OK)
-    mo_reply_error(request, error, "campaign");
+    mo_reply_job_error(request, error, "campaign", id);
   else if (state != MO_JOB_SUCCEEDED && state != MO_JOB_CANCELLED)
     mo_reply_problem(request, 409, NULL,
                      "Campaign %lld is %s; a bundle can hold only campaigns that have succeeded or "
@@ -41,7 +41,7 @@ static bool check_recordings(struct mo_request *request, const int64_t *ids, uin
                                                    &found, &rollouts);
     free(evaluations);
     if (error != MO_OK) {
-      mo_reply_error(request, error, "campaign");
+      mo_reply_job_error(request, error, "campaign", ids[i]);
       return false;
     }
     sum += rollouts;

@@ -133,9 +133,9 @@ void mo_api_get_design(struct mo_request *request)
   int orientation;
   if (mo_robot_read(id, strlen(id), &genotype, &orientation) != MO_OK) {
     mo_reply_problem(request, 404, NULL,
-                     "There is no such design: an id must have the %d hexadecimal digits of a "
+                     "There is no design \"%s\": an id must have the %d hexadecimal digits of a "
                      "canonical form, optionally with an orientation, @0 to @7.",
-                     MO_DEFAULT_ID_DIGITS);
+                     MO_SHOWN(id), MO_DEFAULT_ID_DIGITS);
     return;
   }
   const struct mo_genotype form = mo_genotype_form(&genotype);
@@ -251,11 +251,14 @@ void mo_api_list_designs(struct mo_request *request)
   }
   if (query.sort == MO_DESIGNS_BY_SCORE) {
     struct mo_controller_record controller;
-    int code = mo_store_controller(store, named != NULL ? named : "default", &controller);
-    if (code != MO_OK) {
-      mo_reply_error(request, code, "controller");
+    const char *name = named != NULL ? named : "default";
+    const int error = mo_store_controller(store, name, &controller);
+    if (error == MO_ERR_NOT_FOUND)
+      mo_reply_missing(request, "controller", name);
+    else if (error != MO_OK)
+      mo_reply_error(request, error, "controller");
+    if (error != MO_OK)
       return;
-    }
     query.controller_sha256 = controller.sha256;
     /* With a period that does not fit the default step, nothing can have been scored. */
     (void)mo_physics_complete(&query.physics, controller.control_period_s);

@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/handlers.h"
+#include "api/jobs.h"
 #include "api/tables.h"
 #include "http/pool.h"
 #include "http/stream.h"
@@ -174,7 +174,7 @@ static bool has_job(struct mo_request *request, int64_t id)
   if (n == MO_ERR_NOT_FOUND)
     n = mo_store_events(store, 0, id, &event, 1, NULL, NULL) == 0 ? MO_ERR_NOT_FOUND : MO_OK;
   if (n < 0)
-    mo_reply_error(request, (int)n, "job");
+    mo_reply_job_error(request, (int)n, "job", id);
   return n >= 0;
 }
 

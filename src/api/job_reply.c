@@ -14,6 +14,16 @@ void mo_read_live(struct mo_api *api, const struct mo_job *job, struct mo_live *
     mo_jobs_live(api->jobs, job->id, live);
 }
 
+void mo_reply_job_error(struct mo_request *request, int error, const char *what, int64_t id)
+{
+  char digits[24];
+  snprintf(digits, sizeof(digits), "%lld", (long long)id);
+  if (error == MO_ERR_NOT_FOUND)
+    mo_reply_missing(request, what, digits);
+  else
+    mo_reply_error(request, error, what);
+}
+
 int mo_reply_job(struct mo_request *request, unsigned http_status, const struct mo_resource *kind,
                  int64_t id, bool whole)
 {
@@ -32,7 +42,7 @@ int mo_reply_job(struct mo_request *request, unsigned http_status, const struct 
   }
   if (error != MO_OK) {
     mo_text_free(&text);
-    mo_reply_error(request, error, whole ? mo_job_kind_name(kind->kind) : "job");
+    mo_reply_job_error(request, error, whole ? mo_job_kind_name(kind->kind) : "job", id);
     return error;
   }
   mo_reply_json(request, http_status, &text);
@@ -74,7 +84,7 @@ bool mo_job_of_kind(struct mo_request *request, const struct mo_resource *kind, 
 {
   const int error = read_of_kind(mo_api_of(request)->store, kind, id, job);
   if (error != MO_OK)
-    mo_reply_error(request, error, mo_job_kind_name(kind->kind));
+    mo_reply_job_error(request, error, mo_job_kind_name(kind->kind), id);
   return error == MO_OK;
 }
 
@@ -91,6 +101,6 @@ bool mo_await_job(struct mo_request *request, const struct mo_resource *kind, in
   if (may_wait)
     mo_wait_end(request);
   if (error != MO_OK)
-    mo_reply_error(request, error, kind != NULL ? mo_job_kind_name(kind->kind) : "job");
+    mo_reply_job_error(request, error, kind != NULL ? mo_job_kind_name(kind->kind) : "job", id);
   return error == MO_OK;
 }

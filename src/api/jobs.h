@@ -41,6 +41,9 @@ extern const struct mo_resource mo_evaluation_resource, mo_training_resource, mo
 
 /* ---- job_reply.c ---- */
 
+/* Replies with the problem of an error that concerns a job. what: its kind, or "job". */
+void mo_reply_job_error(struct mo_request *request, int error, const char *what, int64_t id);
+
 /* Reads the current state of a job; nothing if it has ended. */
 void mo_read_live(struct mo_api *api, const struct mo_job *job, struct mo_live *live);
 /* Replies with a job as it stands now: whole, or as an item of the list of jobs. On an error,

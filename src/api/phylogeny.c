@@ -178,7 +178,8 @@ static bool read_lineage(struct mo_request *request, struct lineage *lineage)
       !mo_decimal(text, strlen(text), 0, UINT32_MAX - 1, &number)) {
     mo_reply_problem(
         request, 404, NULL,
-        "There is no such design: give its number in the campaign, in decimal digits.");
+        "There is no design \"%s\": give its number in the campaign, in decimal digits.",
+        MO_SHOWN(text));
     return false;
   }
   int code = mo_store_campaign_descents(mo_api_of(request)->store, lineage->id, &lineage->descents,
@@ -191,7 +192,8 @@ static bool read_lineage(struct mo_request *request, struct lineage *lineage)
     mo_reply_problem(request, 404, NULL, "The campaign has no designs yet.");
   else if (number >= lineage->n)
     mo_reply_problem(request, 404, NULL,
-                     "There is no such design: the campaign has designs 0 to %u.", lineage->n - 1);
+                     "There is no design \"%s\": the campaign has designs 0 to %u.", MO_SHOWN(text),
+                     lineage->n - 1);
   lineage->number = (uint32_t)number;
   return code == MO_OK && number < lineage->n;
 }

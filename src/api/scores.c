@@ -82,7 +82,10 @@ void mo_api_get_scores(struct mo_request *request)
     error = mo_score_walk_create(api->store, &query, &export->walk);
   if (error != MO_OK) {
     free_export(export);
-    mo_reply_error(request, error, "controller");
+    if (error == MO_ERR_NOT_FOUND && query.controller != NULL)
+      mo_reply_missing(request, "controller", query.controller);
+    else
+      mo_reply_error(request, error, "controller");
     return;
   }
   snprintf(export->program, sizeof(export->program), "morphod %s", api->version);

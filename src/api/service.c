@@ -247,7 +247,7 @@ void mo_api_get_problem(struct mo_request *request)
   snprintf(heading, sizeof(heading), HEADING "%s\n", request->parameters[0]);
   const char *part = strstr(document, heading);
   if (part == NULL) {
-    mo_reply_problem(request, 404, NULL, "There is no such type of problem.");
+    mo_reply_missing(request, "type of problem", request->parameters[0]);
     return;
   }
   const char *end = strstr(part + 1, HEADING);

@@ -21,24 +21,13 @@ struct comparison {
   int error;
 };
 
-/* Cuts a long value between two characters. */
-static const char *cut(const char *value, char text[VALUE_SHOWN + 4])
-{
-  size_t n = strlen(value);
-  if (n <= VALUE_SHOWN)
-    return value;
-  for (n = VALUE_SHOWN; n > 0 && ((unsigned char)value[n] & 0xc0) == 0x80;)
-    n--;
-  snprintf(text, VALUE_SHOWN + 4, "%.*s…", (int)n, value);
-  return text;
-}
-
 static void add(struct comparison *comparison, const char *pointer, const char *given,
                 const char *known)
 {
   char texts[2][VALUE_SHOWN + 4];
   mo_faults_add(comparison->faults, MO_FAULT_BODY, pointer, "got %s, but study %lld has %s",
-                cut(given, texts[0]), (long long)comparison->status->job.id, cut(known, texts[1]));
+                mo_cut_text(given, VALUE_SHOWN, texts[0]), (long long)comparison->status->job.id,
+                mo_cut_text(known, VALUE_SHOWN, texts[1]));
 }
 
 static void differs(void *context, const char *pointer, const char *given, const char *known)

@@ -144,7 +144,9 @@ void mo_api_verify_origin(struct mo_request *request)
                                          .limit = parsed.limit,
                                          .repair = parsed.repair};
   const int error = mo_jobs_verify(mo_api_of(request)->jobs, &verification);
-  if (error != MO_OK)
+  if (error == MO_ERR_NOT_FOUND)
+    mo_reply_missing(request, "origin", parsed.origin);
+  else if (error != MO_OK)
     mo_reply_error(request, error, "origin");
   else
     reply(request, &verification);

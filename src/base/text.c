@@ -74,6 +74,23 @@ const char *mo_number_text(double value, char text[MO_NUMBER_BYTES])
   return text;
 }
 
+const char *mo_counted_text(uint64_t n, const char *thing, char text[MO_COUNTED_BYTES])
+{
+  snprintf(text, MO_COUNTED_BYTES, "%" PRIu64 " %s%s", n, thing, n == 1 ? "" : "s");
+  return text;
+}
+
+const char *mo_cut_text(const char *words, size_t max, char *text)
+{
+  size_t n = strlen(words);
+  if (n <= max)
+    return words;
+  for (n = max; n > 0 && ((unsigned char)words[n] & 0xc0) == 0x80;)
+    n--;
+  snprintf(text, max + 4, "%.*s…", (int)n, words);
+  return text;
+}
+
 int mo_hex_digit(char c)
 {
   return c >= '0' && c <= '9'   ? c - '0'

@@ -195,7 +195,8 @@ bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id)
   if (mo_id(request->parameters[parameter], id))
     return true;
   mo_reply_problem(request, 404, NULL,
-                   "There is no such job: an id must be a positive integer in decimal digits.");
+                   "There is no job \"%s\": an id must be a positive integer in decimal digits.",
+                   MO_SHOWN(request->parameters[parameter]));
   return false;
 }
 

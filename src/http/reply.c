@@ -118,6 +118,11 @@ void mo_reply_bad_header(struct mo_request *request, const char *name, const cha
   reply_fault(request, MO_FAULT_HEADER, name, words);
 }
 
+void mo_reply_missing(struct mo_request *request, const char *what, const char *name)
+{
+  mo_reply_problem(request, 404, NULL, "There is no %s \"%s\".", what, MO_SHOWN(name));
+}
+
 void mo_reply_error(struct mo_request *request, int code, const char *what)
 {
   static const struct {
@@ -135,6 +140,11 @@ void mo_reply_error(struct mo_request *request, int code, const char *what)
       {MO_ERR_IO, 503, 30,
        "The service cannot read or write its store; its operator has been notified."},
       {0, 500, 0, "The service failed to handle the %s: %s. Its log has the request's id."}};
+  if (code == MO_ERR_NOT_FOUND && request->route != NULL &&
+      strchr(request->route->path, '{') != NULL) {
+    mo_reply_missing(request, what, request->parameters[0]);
+    return;
+  }
   size_t i = 0;
   while (errors[i].code != code && errors[i].code != 0)
     i++;

@@ -32,8 +32,11 @@ void mo_reply_problem(struct mo_request *request, unsigned status, const struct 
 /* Reply with a problem about one query parameter, or one header field (400). */
 void mo_reply_bad_parameter(struct mo_request *request, const char *name, const char *words);
 void mo_reply_bad_header(struct mo_request *request, const char *name, const char *words);
-/* Replies with the usual problem of an error (500, 503, 507, 404 …). */
+/* Replies with the usual problem of an error (500, 503, 507, 404 …). MO_ERR_NOT_FOUND: what is
+ * missing is named by the first parameter of the path, if the path has any. */
 void mo_reply_error(struct mo_request *request, int error, const char *what);
+/* Replies that something with this name does not exist (404). */
+void mo_reply_missing(struct mo_request *request, const char *what, const char *name);
 /* Replies with JSON and its ETag, or with the problem of an error. */
 void mo_reply_text(struct mo_request *request, int error, struct mo_text *text, const char *what);
 /* Sets a strong ETag from parts, and status 304 if the client has that version, compressed or not.

@@ -521,7 +521,7 @@ def test_commands(service, atlas, plain, ctl, tmp_path):  # noqa: F811
     assert "Kendall's tau  1.0000" in run("compare five from-morphoctl --bins 4")
     run("delete from-morphoctl")
     for command, code, words in (
-            ("show from-morphoctl", 3, "no such atlas"), ("body five", 2, "--position"),
+            ("show from-morphoctl", 3, 'no atlas "from-morphoctl"'), ("body five", 2, "--position"),
             ("body five --position 3 " + body["id"], 2, "not both"),
             ("body five " + "1" * 144, 3, "144 voxels"),
             ("upload five /dev/null", 6, "not an atlas"),

@@ -9,6 +9,7 @@ import stat
 import subprocess
 import threading
 import time
+from urllib.parse import quote
 
 import pytest
 
@@ -308,3 +309,29 @@ def test_slow_clients_are_cut_off(start):
     assert running.request("GET", "/healthz").status == 200
     values, _ = metrics(running)
     assert values["morphod_http_connections_timed_out_total", None] >= 4
+
+
+def test_what_is_missing_is_named(service):
+    """By the name in the request, which is cut between two characters if it is long."""
+    job = "/v1/campaigns/88/designs/"
+    long = "é" * 41
+    for path, words in (
+            ("/v1/jobs/77", 'job "77".'), ("/v1/trainings/77/steps", 'training "77".'),
+            ("/v1/jobs/x", 'job "x": an id'), ("/v1/controllers/walker", 'controller "walker".'),
+            ("/v1/controllers/a%22%0Ab", 'controller "a"\nb".'),
+            (f"/v1/controllers/{quote(long)}", f'controller "{long[:40]}…".'),
+            (f"/v1/controllers/{quote('x' + long)}", f'controller "x{long[:39]}…".'),
+            ("/v1/atlases/flat", 'atlas "flat".'), ("/v1/designs/12", 'design "12": an id'),
+            ("/v1/atlases/flat/compare?with=hilly", 'atlas "flat".'),
+            ("/v1/designs?sort=score&controller=walker", 'controller "walker".'),
+            ("/v1/scores?controller=walker", 'controller "walker".'),
+            ("/v1/environment-sets/moon", 'set of environments "moon".'),
+            ("/v1/bundles?campaigns=77", 'campaign "77".'),
+            ("/v1/campaigns/generations?campaigns=77", 'campaign "77".'),
+            ("/v1/events?job=77", 'job "77".'), (f"{job}1", 'campaign "88".'),
+            ("/problems/none", 'type of problem "none".')):
+        reply = service.request("GET", path)
+        assert reply.status == 404, (path, reply.body)
+        assert reply.json()["detail"].startswith(f"There is no {words}"), (path, reply.body)
+    reply = service.request("POST", "/v1/fleet/verify", {"origin": "one@there"})
+    assert reply.json()["detail"] == 'There is no origin "one@there".'

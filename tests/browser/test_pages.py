@@ -573,14 +573,14 @@ def test_two_controllers_are_compared(service, browser):
 
 STATES = {  # what a page shows if there is no data, or the address has another name
     "campaigns": "No jobs match", "runs": "No jobs yet", "controllers": "Made by",
-    "campaigns/99/settings": "There is no such campaign", "runs/99": "There is no such job",
+    "campaigns/99/settings": 'There is no campaign "99"', "runs/99": 'There is no job "99"',
     "designs": "No design has a score with this controller yet", "stage": "No design is stored yet",
     "": "No design in this store has a score yet", "overview": "No jobs yet",
-    "campaigns/99": "There is no such campaign",
-    "campaigns/99/phylogeny": "There is no such campaign",
-    "trainings/99": "There is no such training",
-    "designs?evaluation=99": "There is no such evaluation", "designs/xyz": "36 hexadecimal digits",
-    "stage?set=moon": "There is no such set of environments",
+    "campaigns/99": 'There is no campaign "99"',
+    "campaigns/99/phylogeny": 'There is no campaign "99"',
+    "trainings/99": 'There is no training "99"',
+    "designs?evaluation=99": 'There is no evaluation "99"', "designs/xyz": "36 hexadecimal digits",
+    "stage?set=moon": 'There is no set of environments "moon"',
     "stage?controller=nobody&designs=88" + "0" * 34: 'controller "nobody" does not exist',
     "nowhere": "There is no such page"
 }
