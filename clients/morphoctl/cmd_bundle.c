@@ -172,6 +172,11 @@ void run_export(struct ctl *ctl)
     if (*c <= ' ' || *c > '~' || *c == '#')
       fail(STATUS_USAGE, "\"%s\" is not a list: escape special characters, such as a blank as %%20",
            list);
+  if (list[strspn(list, "0123456789")] == '\0')
+    fail(STATUS_USAGE,
+         "\"%s\" is not a list: give one of a job, such as evaluations/7/results, "
+         "trainings/7/steps or campaigns/7/population, or one of all, such as jobs",
+         list);
   const char between = strchr(list, '?') != NULL ? '&' : '?';
   save_reply(ctl, path_to("/v1/%s%cformat=%s", list, between, form), "*/*", output);
 }

@@ -8,9 +8,10 @@
 
 #include "base/words.h"
 #include "http/field.h"
-#include "http/reply.h"
+#include "http/server.h"
 
 #define WAIT_MAX_S 60
+#define BELOW_MAX  16 /* paths that a fault lists */
 
 /* ---- query parameters ---- */
 
@@ -26,6 +27,29 @@ static const char *find_name(const char *list, const char *name)
   return NULL;
 }
 
+/* Adds the fault of an unknown parameter, and which paths below this one have it. */
+static void add_unknown(struct mo_faults *faults, const struct mo_request *request,
+                        const char *name)
+{
+  const struct mo_routes *routes = &request->http->service.routes;
+  const size_t size = strlen(request->route->path);
+  const char *below[BELOW_MAX + 1] = {NULL};
+  char list[MO_WORDS_BYTES];
+  size_t n = 0;
+  for (size_t i = 0; i < routes->n && n < BELOW_MAX; i++) {
+    const struct mo_route *route = &routes->items[i];
+    if (strncmp(route->path, request->route->path, size) == 0 && route->path[size] == '/' &&
+        find_name(route->query, name) != NULL)
+      below[n++] = route->path + size + 1;
+  }
+  if (n > 0)
+    mo_faults_add(faults, MO_FAULT_PARAMETER, name,
+                  "unknown parameter for this path; give it to %s below it",
+                  mo_words_join(below, "", list));
+  else
+    mo_faults_add(faults, MO_FAULT_PARAMETER, name, "unknown parameter for this path");
+}
+
 /* Reads one parameter. text: space for the name and the value. Returns the space used. */
 static size_t read_item(struct mo_request *request, const struct mo_query_item *item, char *text,
                         struct mo_faults *faults)
@@ -36,7 +60,7 @@ static size_t read_item(struct mo_request *request, const struct mo_query_item *
       item->value_size + 1 < MO_QUERY_VALUE_BYTES ? item->value_size + 1 : MO_QUERY_VALUE_BYTES;
   bool good = mo_percent_decode(item->name, item->name_size, true, text, item->name_size + 1);
   if (!good || find_name(request->route->query, text) == NULL)
-    mo_faults_add(faults, MO_FAULT_PARAMETER, good ? text : "?", "unknown parameter for this path");
+    add_unknown(faults, request, good ? text : "?");
   else if (mo_query(request, text) != NULL || query->n == MO_QUERY_MAX)
     mo_faults_add(faults, MO_FAULT_PARAMETER, text, "duplicate parameter; give it once");
   else if (!mo_percent_decode(item->value, item->value_size, true, value, room))

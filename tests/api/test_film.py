@@ -44,6 +44,14 @@ def test_files_have_the_suffix_of_their_format(ctl, tmp_path):  # noqa: F811
     assert list(tmp_path.iterdir()) == []
 
 
+def test_lists_that_can_be_exported(ctl):  # noqa: F811
+    """One job is not a list: the refusal names what to write."""
+    for what, status, words in (("7", 2, "evaluations/7/results"),
+                                ("evaluations/7", 1, "trajectories/{n}, results or environments")):
+        code, out, err = ctl(f"export {what}")
+        assert (code, out) == (status, "") and words in err, (what, code, err)
+
+
 def test_films(ctl, tmp_path):  # noqa: F811
     """0.24 s and one more second of the last frame, at 25 frames per second."""
     stream, folder = tmp_path / "film.y4m", tmp_path / "frames"

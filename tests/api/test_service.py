@@ -335,3 +335,13 @@ def test_what_is_missing_is_named(service):
         assert reply.json()["detail"].startswith(f"There is no {words}"), (path, reply.body)
     reply = service.request("POST", "/v1/fleet/verify", {"origin": "one@there"})
     assert reply.json()["detail"] == 'There is no origin "one@there".'
+
+
+def test_unknown_parameters_and_where_they_belong(service):
+    """A path below may have the parameter."""
+    for path, words in (("/v1/evaluations/1?format=csv", "; give it to trajectories/{n}, results or"
+                         " environments below it"), ("/v1/trainings/1?stride=2",
+                                                     "; give it to steps below it"),
+                        ("/v1/evaluations/1?wind=1", ""), ("/v1/jobs?wind=1", "")):
+        [fault] = service.request("GET", path).json()["errors"]
+        assert fault["detail"] == "unknown parameter for this path" + words, path
