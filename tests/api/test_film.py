@@ -47,7 +47,7 @@ def test_files_have_the_suffix_of_their_format(ctl, tmp_path):  # noqa: F811
 def test_lists_that_can_be_exported(ctl):  # noqa: F811
     """One job is not a list: the refusal names what to write."""
     for what, status, words in (("7", 2, "evaluations/7/results"),
-                                ("evaluations/7", 1, "trajectories/{n}, results or environments")):
+                                ("evaluations/7", 6, "trajectories/{n}, results or environments")):
         code, out, err = ctl(f"export {what}")
         assert (code, out) == (status, "") and words in err, (what, code, err)
 

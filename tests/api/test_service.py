@@ -318,7 +318,7 @@ def test_what_is_missing_is_named(service):
     for path, words in (
             ("/v1/jobs/77", 'job "77".'), ("/v1/trainings/77/steps", 'training "77".'),
             ("/v1/jobs/x", 'job "x": an id'), ("/v1/controllers/walker", 'controller "walker".'),
-            ("/v1/controllers/a%22%0Ab", 'controller "a"\nb".'),
+            ("/v1/controllers/a%22b", 'controller "a"b".'),
             (f"/v1/controllers/{quote(long)}", f'controller "{long[:40]}…".'),
             (f"/v1/controllers/{quote('x' + long)}", f'controller "x{long[:39]}…".'),
             ("/v1/atlases/flat", 'atlas "flat".'), ("/v1/designs/12", 'design "12": an id'),
