@@ -199,7 +199,7 @@ static void print(struct live *live)
       JOB_STATE_FACTS(""),
       {"controller",
        CONTROLLER_WORDS("controller", "|random weights, sensor {settings.learning.sensor}")},
-      {"population", "{settings.population:,} designs, seed {settings.seed}"},
+      {"population", "{settings.population:,} design{settings.population:s}, seed {settings.seed}"},
       {"replicate", "[{group.replicates>1:-}{group.number} of {group.replicates} of campaign "
                     "{group.id}]"},
       {"mutation", "{settings.mutation.share:.1%} of the population, rate "
@@ -225,7 +225,8 @@ static void print(struct live *live)
                    "[{settings.learning.worlds=environments}, in the campaign's environments]"
                    "[{settings.learning.worlds=tasks}, with the tasks of its environments]]"},
       {"varies", VARY_WORDS("settings.learning.vary.")},
-      {"progress", GENERATION_WORDS("progress.") ", {progress.designs:,} designs born"},
+      {"progress",
+       GENERATION_WORDS("progress.") ", {progress.designs:,} design{progress.designs:s} born"},
       {"now", CAMPAIGN_NOW_WORDS},
       {"end", "{end}"},
       {"result", CONTROLLER_WORDS("result.controller", "")},
@@ -348,9 +349,10 @@ const struct live_kind campaign_kind = {
     .size = sizeof(struct campaign),
     .noun = "campaign",
     .command = "campaign",
-    .accepted = "campaign {id} is accepted: {mode}, {settings.population:,} designs, "
-                "{settings.generations:,} generation{settings.generations:s}"
-                "[{group.replicates>1:-}, with its replicates]",
+    .accepted =
+        "campaign {id} is accepted: {mode}, {settings.population:,} design{settings.population:s}, "
+        "{settings.generations:,} generation{settings.generations:s}"
+        "[{group.replicates>1:-}, with its replicates]",
     .ask_s = ASK_S,
     .load = load,
     .print = print,

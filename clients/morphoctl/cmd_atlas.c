@@ -40,7 +40,7 @@ static void print_atlas(const struct ctl *ctl, const json_t *atlas)
 {
   static const struct fact facts[] = {
       {"atlas", "{name}"},
-      {"bodies", "{bodies:,}, of at most {voxels_max} voxels"},
+      {"bodies", "{bodies:,}, of at most {voxels_max} voxel{voxels_max:s}"},
       {"workspace", "{workspace.0} × {workspace.1} × {workspace.2} voxels"},
       {"orientations", "{orientations}"},
       {"environments", "{environments:#}"},
@@ -89,8 +89,8 @@ void run_atlas_upload(struct ctl *ctl)
                                                          .body_bytes = n},
                                        &code));
   tell(ctl, atlas,
-       code == 201 ? "atlas {name} stored: {bodies:,} bodies"
-                   : "atlas {name} replaced by this file: {bodies:,} bodies");
+       code == 201 ? "atlas {name} stored: {bodies:,} [{bodies=1}body|bodies]"
+                   : "atlas {name} replaced by this file: {bodies:,} [{bodies=1}body|bodies]");
 }
 
 void run_atlas_delete(struct ctl *ctl)

@@ -3,6 +3,7 @@
 #include <inttypes.h>
 #include <string.h>
 
+#include "base/text.h"
 #include "commands.h"
 
 #define BUNDLE_TYPE      "application/zstd"
@@ -82,9 +83,10 @@ static void recompute(struct ctl *ctl, const char *id, int64_t n)
   }
   if (!ctl->quiet)
     print_plain_line(stderr,
-                     "campaign %s: of %" PRId64 " designs the scores of %" PRId64
-                     " agree bit for bit, %" PRId64 " differ, %" PRId64 " are of another class",
-                     id, agree + differ + unknown, agree, differ, unknown);
+                     "campaign %s: of %s the scores of %" PRId64 " agree bit for bit, %" PRId64
+                     " differ, %" PRId64 " are of another class",
+                     id, MO_COUNTED((uint64_t)(agree + differ + unknown), "design"), agree, differ,
+                     unknown);
   if (differ > 0)
     leave(STATUS_NEGATIVE);
 }
@@ -114,8 +116,10 @@ static void tell_entered(const struct ctl *ctl, const json_t *entered)
   {
     if (!ctl->quiet)
       print_from(stdout, item,
-                 "campaign {source.campaign} of store {source.store}: {designs} designs, {losses} "
-                 "losses, {recordings} recorded evaluations; [{entered=true}imported as campaign "
+                 "campaign {source.campaign} of store {source.store}: {designs} design{designs:s}, "
+                 "{losses} "
+                 "[{losses=1}loss|losses], {recordings} recorded evaluation{recordings:s}; "
+                 "[{entered=true}imported as campaign "
                  "{campaign}|already stored as campaign {campaign}|intact, not imported]");
   }
 }
@@ -168,15 +172,15 @@ void run_export(struct ctl *ctl)
     form = form_of(output);
   if (strncmp(list, "/v1/", 4) == 0)
     list += 4;
-  for (const char *c = list; *c != '\0'; c++)
-    if (*c <= ' ' || *c > '~' || *c == '#')
-      fail(STATUS_USAGE, "\"%s\" is not a list: escape special characters, such as a blank as %%20",
-           list);
   if (list[strspn(list, "0123456789")] == '\0')
     fail(STATUS_USAGE,
          "\"%s\" is not a list: give one of a job, such as evaluations/7/results, "
          "trainings/7/steps or campaigns/7/population, or one of all, such as jobs",
          list);
+  for (const char *c = list; *c != '\0'; c++)
+    if (*c <= ' ' || *c > '~' || *c == '#')
+      fail(STATUS_USAGE, "\"%s\" is not a list: escape special characters, such as a blank as %%20",
+           list);
   const char between = strchr(list, '?') != NULL ? '&' : '?';
   save_reply(ctl, path_to("/v1/%s%cformat=%s", list, between, form), "*/*", output);
 }

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/text.h"
 #include "commands.h"
 #include "live.h"
 #include "results.h"
@@ -217,7 +218,7 @@ static void export_population(struct ctl *ctl, const char *id, const char *outpu
   close_text(file);
   save_output(output, "", 0, keep(text), size);
   if (!ctl->quiet && strcmp(output, "-") != 0)
-    print_plain_line(stderr, "%s: %zu designs", output, json_array_size(items));
+    print_plain_line(stderr, "%s: %s", output, MO_COUNTED(json_array_size(items), "design"));
 }
 
 /* Lists the replicates that are not counted in any row of the exported table. */

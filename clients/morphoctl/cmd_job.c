@@ -34,7 +34,7 @@ static void print_job(const struct ctl *ctl, const json_t *job)
        "|{certificate.rollouts_done:,} of {certificate.rollouts:,} rollouts"
        "[  {certificate.progress.rollouts_per_s:.0f} rollouts/s]"
        "[  {certificate.progress.seconds_left:duration} left]; see morphoctl certificate {id}]"},
-      {"scope", "[at most {atlas.voxels} voxels, {atlas.orientations}[, {measured}]"
+      {"scope", "[at most {atlas.voxels} voxel{atlas.voxels:s}, {atlas.orientations}[, {measured}]"
                 "|{certificate.designs} design{certificate.designs:s} in "
                 "{certificate.trials} trial{certificate.trials:s}]"},
       {NULL, NULL}};

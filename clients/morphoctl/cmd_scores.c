@@ -119,7 +119,8 @@ void run_scores_import(struct ctl *ctl)
   print_differences(ctl, json_object_get(sending.sum, "differences"));
   if (sending.at > 0) /* imported scores stay, no matter what followed */
     tell(ctl, sending.sum,
-         "{new:,} rollouts are new, {known:,} were known[, {different>0:,} are stored with other "
+         "{new:,} rollout{new:s} [{new=1}is|are] new, {known:,} were known[, {different>0:,} are "
+         "stored with other "
          "bits and were left out], from store {source.store} on {source.host}");
   leave(status == STATUS_OK && number_of(sending.sum, "different") > 0 ? STATUS_NEGATIVE : status);
 }

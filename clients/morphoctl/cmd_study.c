@@ -185,5 +185,6 @@ void run_study_sampler(struct ctl *ctl)
 void run_study_finish(struct ctl *ctl)
 {
   job_id(ctl->operands[0]);
-  tell(ctl, post(ctl, "finish", NULL), "study {id} is {state}, with {progress.designs:,} designs");
+  tell(ctl, post(ctl, "finish", NULL),
+       "study {id} is {state}, with {progress.designs:,} design{progress.designs:s}");
 }

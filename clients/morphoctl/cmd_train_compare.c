@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/text.h"
 #include "commands.h"
 #include "differences.h"
 #include "stats.h"
@@ -194,8 +195,8 @@ static void print_comparison(const struct ctl *ctl, const struct side sides[2],
     json_object_set_new(row, "rollouts", json_integer((json_int_t)sides[s].rollouts));
     json_array_append_new(rows, row);
   }
-  print_fact(ctl, "held out", "%zu designs × %" PRId64 " environments, seed %" PRId64, sides[0].n,
-             n_environments, seed);
+  print_fact(ctl, "held out", "%s × %s, seed %" PRId64, MO_COUNTED(sides[0].n, "design"),
+             MO_COUNTED((uint64_t)n_environments, "environment"), seed);
   print_table(stdout, ctl, rows,
               "={side}|controller={controller}|>mean score={mean_score:.4f}"
               "|>diverged designs={designs_diverged} of {designs}"
@@ -213,16 +214,16 @@ static void print_comparison(const struct ctl *ctl, const struct side sides[2],
                paired->equal, isnan(paired->sign_p) ? 1 : paired->sign_p);
   if (paired->n < sides[0].n)
     print_fact(ctl, "left out",
-               "%zu design%s that diverged with A or B: left out of the means and the difference",
-               sides[0].n - paired->n, sides[0].n - paired->n == 1 ? "" : "s");
+               "%s that diverged with A or B: left out of the means and the difference",
+               MO_COUNTED(sides[0].n - paired->n, "design"));
   print_verdict(sides, paired);
 }
 
 void run_train_compare(struct ctl *ctl)
 {
   struct side sides[2] = {{.name = ctl->operands[0]}, {.name = ctl->operands[1]}};
-  const int64_t seed = option_number(ctl, "seed", 0, (INT64_C(1) << 53) - 1, 1),
   require_distinct(ctl, "controller");
+  const int64_t seed = option_number(ctl, "seed", 0, (INT64_C(1) << 53) - 1, 1),
                 n_designs = option_number(ctl, "designs", 2, 1000, 64),
                 n_environments = option_number(ctl, "environments", 1, 64, 16);
   const json_t *held_out =

@@ -6,7 +6,7 @@ static void print_summary(const struct ctl *ctl, const json_t *summary)
   static const struct fact facts[] = {
       {"designs", "{bodies_done:,} of {bodies:,}[, {compared:,} with both scores]"},
       {"before", "[mean score {mean_zero_shot:.4f}]"},
-      {"after", "[mean score {mean_finetuned:.4f}; {improved:,} designs improved]"},
+      {"after", "[mean score {mean_finetuned:.4f}; {improved:,} design{improved:s} improved]"},
       {"gain", "[{mean_gain:.4f}[, 95 % interval {mean_gain_interval.0:.4f} to "
                "{mean_gain_interval.1:.4f}]]"},
       {"tau", "[{tau:.2f}[, 95 % interval {tau_interval.0:.2f} to {tau_interval.1:.2f}]]"},

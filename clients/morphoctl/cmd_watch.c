@@ -30,9 +30,10 @@ static const struct {
     {"atlas.progress", "  {data.bodies_done:,} of {data.bodies_total:,} bodies"},
     {"certificate.progress", "  {data.rollouts_done:,} of {data.rollouts:,} rollouts"},
     {"campaign.imported", "  campaign {data.campaign} of store {data.store}"},
-    {"scores.imported", "  {data.new:,} rollouts of store {data.store} on {data.host}"},
-    {"scores.differ", "  {data.different:,} rollouts of store {data.store} on {data.host}"},
-    {"campaign.extended", "  to {data.generations:,} generations"},
+    {"scores.imported", "  {data.new:,} rollout{data.new:s} of store {data.store} on {data.host}"},
+    {"scores.differ",
+     "  {data.different:,} rollout{data.different:s} of store {data.store} on {data.host}"},
+    {"campaign.extended", "  to {data.generations:,} generation{data.generations:s}"},
     {"campaign.diversity_collapse", "  generation {data.generation}: diversity "
                                     "{data.diversity:.4f}, it was {data.maximum:.4f}"},
     {"job.warning", "  {data.detail}"},

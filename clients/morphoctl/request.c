@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/text.h"
 #include "base/words.h"
 #include "commands.h"
 #include "settings.inc"
@@ -252,8 +253,8 @@ void say_orientations(const struct ctl *ctl, const json_t *designs)
           "canonical orientation: no stored score]");
   }
   if (n > SAID_MAX)
-    fprintf(stderr, "… and %zu more designs that are given by an id without an orientation\n",
-            n - SAID_MAX);
+    fprintf(stderr, "… and %s more given by an id without an orientation\n",
+            MO_COUNTED(n - SAID_MAX, "design"));
 }
 
 json_t *random_of(const struct ctl *ctl, const char *seed, int64_t most)

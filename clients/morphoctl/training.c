@@ -115,7 +115,9 @@ static void print_code(const struct ctl *ctl, const json_t *code)
   }
 }
 
-#define LOST_WORDS "{progress.diverged} robots diverged, {progress.zeroed} had no finite gradient"
+#define LOST_WORDS                                                                                 \
+  "{progress.diverged} robot{progress.diverged:s} diverged, {progress.zeroed} had no finite "      \
+  "gradient"
 
 static void print(struct live *live)
 {
@@ -124,7 +126,7 @@ static void print(struct live *live)
       {"name", "{name}"},
       JOB_STATE_FACTS("[{!reason}{phase!=idle}]"),
       {"from", CONTROLLER_WORDS("parent", "|random weights, sensor {settings.sensor}")},
-      {"batch", "{settings.batch:,} robots, seed {settings.seed}"},
+      {"batch", "{settings.batch:,} robot{settings.batch:s}, seed {settings.seed}"},
       {"designs", "[{settings.n_designs:,}[ of evaluation {settings.population.evaluation}"
                   "| of campaign {settings.population.campaign}"
                   "| of the ranking of atlas {settings.population.atlas}, seed "

@@ -143,9 +143,8 @@ static void reply_entered(struct mo_request *request, const struct entering *ent
   mo_reply_json(request, 200, &text);
   if (entered->n_different > 0)
     mo_request_note(
-        request,
-        "%llu rollouts from store %016llx on %s have losses that differ from the stored ones",
-        (unsigned long long)entered->n_different, (unsigned long long)block->store, block->host);
+        request, "the losses of %s from store %016llx on %s differ from the stored ones",
+        MO_COUNTED(entered->n_different, "rollout"), (unsigned long long)block->store, block->host);
 }
 
 /* Replies with the reason why a block is rejected. */
@@ -159,9 +158,9 @@ static void reply_refusal(struct mo_request *request, int error, const struct en
   }
   mo_faults_add(&faults, MO_FAULT_BODY, "", "%s", message->text);
   mo_reply_problem(request, 422, &faults,
-                   "The block at byte %zu was refused, and nothing in it was stored; %u blocks "
-                   "before it were imported.",
-                   entering->at, entering->n);
+                   "The block at byte %zu was refused, and nothing in it was stored; imported "
+                   "before it: %s.",
+                   entering->at, MO_COUNTED(entering->n, "block"));
 }
 
 void mo_api_post_scores(struct mo_request *request)

@@ -144,8 +144,8 @@ static void write_legend(const struct picture *picture, const struct mo_suite_po
     snprintf(mean, sizeof(mean), "no score");
   else
     snprintf(mean, sizeof(mean),
-             scores->n_left_out > 0 ? "mean loss %.3f, %u tasks left out" : "mean loss %.3f",
-             scores->mean_loss, scores->n_left_out);
+             scores->n_left_out > 0 ? "mean loss %.3f, %s left out" : "mean loss %.3f",
+             scores->mean_loss, MO_COUNTED(scores->n_left_out, "task"));
   write_words(picture, x + 22, y + 15, MUTED, 11, "", mean);
 }
 

@@ -96,8 +96,9 @@ static struct mo_trajectory *read_trajectory(struct mo_request *request, struct 
   if (error != MO_OK)
     mo_reply_error(request, error, "evaluation");
   else if (d >= job->n_designs || k >= job->n_environments)
-    mo_reply_problem(request, 404, NULL, "The evaluation has %u designs and %u environments.",
-                     job->n_designs, job->n_environments);
+    mo_reply_problem(request, 404, NULL, "The evaluation has %s and %s.",
+                     MO_COUNTED(job->n_designs, "design"),
+                     MO_COUNTED(job->n_environments, "environment"));
   else if (job->record == 0)
     mo_reply_problem(request, 404, NULL, "The evaluation did not request a recording.");
   else if (place->array >= 0 && !(job->record >> place->array & 1))

@@ -20,6 +20,7 @@
 #include "api/api.h"
 #include "base/clock.h"
 #include "base/json.h"
+#include "base/text.h"
 #include "daemon/crash.h"
 #include "daemon/devices.h"
 #include "daemon/fleet.h"
@@ -621,9 +622,8 @@ void service_describe(struct service *service, char *text, size_t capacity)
   struct mo_http_stats http;
   mo_jobs_get_stats(service->jobs, &jobs);
   mo_http_get_stats(service->http, &http);
-  snprintf(text, capacity,
-           "%" PRIu64 " open jobs, %" PRIu64 " rollouts to do, %" PRIu32 " connections%s",
-           jobs.open_jobs, jobs.open_rollouts, http.connections,
+  snprintf(text, capacity, "%s, %s to do, %s%s", MO_COUNTED(jobs.open_jobs, "open job"),
+           MO_COUNTED(jobs.open_rollouts, "rollout"), MO_COUNTED(http.connections, "connection"),
            jobs.no_space ? ", waiting for disk space" : "");
 }
 

@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/text.h"
 #include "daemon/memory.h"
 #include "daemon/service.h"
 #include "daemon/settings.h"
@@ -75,8 +76,8 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
     }
   }
   if (found > 0 && error == MO_OK)
-    printf("%" PRId64 " losses of class \"%s\" recomputed, %" PRIu64 " differ.\n", found,
-           fingerprint, *n_differ - before);
+    printf("%" PRId64 " %s of class \"%s\" recomputed, %" PRIu64 " differ.\n", found,
+           found == 1 ? "loss" : "losses", fingerprint, *n_differ - before);
   mo_loaded_free_all(&controllers);
   for (int64_t i = 0; i < (int64_t)n; i++)
     mo_environments_drop(&samples[i].environment, 1);
@@ -115,8 +116,8 @@ static int check(struct mo_store *store, size_t n, struct mo_message *message)
     error = mo_store_check_contents(store, print_finding, NULL, &counts);
   if (error != MO_OK)
     return error;
-  printf("%" PRIu64 " rows and %" PRIu64 " files read, %" PRIu64 " findings.\n", counts.rows,
-         counts.files, counts.findings);
+  printf("%s and %s read, %s.\n", MO_COUNTED(counts.rows, "row"), MO_COUNTED(counts.files, "file"),
+         MO_COUNTED(counts.findings, "finding"));
   if (n > 0)
     error = check_classes(store, n, &n_differ);
   if (error == MO_OK && counts.findings + n_differ > 0)
@@ -149,7 +150,7 @@ static int clean(struct mo_store *store, bool yes)
   int error = mo_store_clean(store, print_file, &listed);
   if (error != MO_OK)
     return error;
-  printf("%" PRIu64 " unused files, %" PRIu64 " bytes.\n", listed.n, listed.bytes);
+  printf("%s, %s.\n", MO_COUNTED(listed.n, "unused file"), MO_COUNTED(listed.bytes, "byte"));
   if (listed.n == 0)
     return MO_OK;
   if (!yes) {

@@ -289,8 +289,8 @@ static enum MHD_Result dispatch(struct mo_request *request)
   if (request->client == NULL) {
     if (refused)
       mo_reply_problem(request, 429, NULL,
-                       "This client already has %u requests in flight, which is the limit.",
-                       http->config.max_in_flight);
+                       "This client already has %s in flight, which is the limit.",
+                       MO_COUNTED(http->config.max_in_flight, "request"));
     else
       mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
     return mo_reply_send(request);

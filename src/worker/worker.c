@@ -11,6 +11,7 @@
 #include <sys/random.h>
 
 #include "base/clock.h"
+#include "base/text.h"
 #include "worker/holding.h"
 #include "worker/protocol.h"
 
@@ -559,8 +560,8 @@ void mo_worker_describe(struct mo_worker *worker, char *text, size_t capacity)
       [JOINING] = "no session", [ACTIVE] = "joined", [LEAVING] = "leaving", [ENDED] = "left"};
   struct mo_holding_status status;
   mo_holding_get_status(worker->holding, &status);
-  snprintf(text, capacity, "%s: %s, %u leases held, %" PRIu64 " done, %" PRIu64 " rollouts",
-           worker->config.link.server, words[worker->phase],
-           status.n_leases[MO_ON_CPU] + status.n_leases[MO_ON_DEVICE], status.leases_done,
-           status.rows_done);
+  snprintf(text, capacity, "%s: %s, %s held, %" PRIu64 " done, %s", worker->config.link.server,
+           words[worker->phase],
+           MO_COUNTED(status.n_leases[MO_ON_CPU] + status.n_leases[MO_ON_DEVICE], "lease"),
+           status.leases_done, MO_COUNTED(status.rows_done, "rollout"));
 }

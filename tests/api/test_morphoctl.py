@@ -424,7 +424,7 @@ def test_bundles(service, ctl, tmp_path):
                                 json.loads(out)["items"]] == [id], (which, out, err)
     assert ctl("campaign champions", id, "-n", "2", "-o", str(tmp_path / "paths"))[0] == 0
     assert ctl("bundle export", path, id, "--recordings")[0] == 0
-    assert "1 recorded evaluations" in ctl("bundle verify", path)[1]
+    assert "1 recorded evaluation;" in ctl("bundle verify", path)[1]
     for which in ([], [id, "--label", "to go"], ["--experiment", "a bundle", "--group", id]):
         status, _, err = ctl("bundle export", path, *which)
         assert status == 2 and "--experiment or --group" in err, (which, err)

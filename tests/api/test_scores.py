@@ -194,7 +194,7 @@ def test_altered_files_leave_nothing(home, start, file):
     def refused(data, why, entered=0):
         reply = enter(other, data)
         assert reply.status == 422, (why, reply.body)
-        assert f"{entered} blocks before it" in reply.json()["detail"], why
+        assert f"imported before it: {entered} block" in reply.json()["detail"], why
         return reply.json()["errors"][0]["detail"]
 
     for name, how, line in CHANGES:
@@ -253,7 +253,7 @@ def test_other_bits_are_reported_and_not_stored(home, start, file):
     assert content(home) == honest
     event, = home.get(f"/v1/events?format=json&after={newest}")["items"]
     assert event["type"] == "scores.differ" and event["data"]["different"] == 1
-    assert "1 rollouts from store" in home.log_text()
+    assert "the losses of 1 rollout from store" in home.log_text()
 
     other = start()
     assert counts(enter(other, lie)) == [total, 0, 0]

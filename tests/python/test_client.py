@@ -188,7 +188,7 @@ def test_repair_is_reported(m):
     assert '"repair": "largest" keep' in str(caught.value)
     assert caught.value.faults and re.fullmatch("[0-9a-f]{16}", caught.value.request_id)
     evaluation = m.evaluate([apart], physics=SHORT, repair="largest")
-    assert evaluation[0].lost == ("1 voxels that did not belong to the largest piece", )
+    assert evaluation[0].lost == ("1 voxel that did not belong to the largest piece", )
     assert evaluation[0].genotype.count("1") == 2
 
 
@@ -705,7 +705,7 @@ def test_fleet(start):
     session = workers.join(name="a node").rsplit("/", 1)[1]
     m = morphod.Client(workers.service.addresses[0])
     fleet = m.fleet()
-    assert repr(fleet) == "<1 workers with 1 threads and 0 GPUs, 0 rollouts/s>"
+    assert repr(fleet) == "<1 worker with 1 thread and 0 GPUs, 0 rollouts/s>"
     row = fleet.sessions.iloc[0]
     assert (row["id"], row["name"], row["state"]) == (session, "a node", "active")
     assert row["classes_cpu_scores"] == fleet.data["classes"]["cpu"]["scores"]

@@ -90,10 +90,10 @@ def test_founders_that_do_not_fit(m):
     parent = m.campaign("zero-shot", initial=[DESIGN["cells"], cube],
                         **short | {"population": 2})[0]
     parent.wait()
-    with pytest.warns(UserWarning, match=f"1 designs of campaign {parent.id} do not fit"):
+    with pytest.warns(UserWarning, match=f"{parent.id} has 1 design outside the workspace"):
         group = m.campaign("zero-shot", initial=parent, workspace=[3, 3, 2], **short)
     assert len(group[0].left_out) == 1
-    with pytest.warns(UserWarning, match="1 designs of campaign"):
+    with pytest.warns(UserWarning, match="1 design outside"):
         group = m.campaign("zero-shot", initial=parent, workspace=[3, 3, 2], replicates=2, **short)
     assert [len(member.left_out) for member in group] == [1, 1]
     with pytest.raises(morphod.InvalidError, match="/initial/campaign: no design of that campaign"):

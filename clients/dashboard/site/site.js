@@ -1,7 +1,7 @@
 /** The page of an atlas without a service: tools/atlas-site puts it next to an atlas file. */
 
 import { announce, button, fill, h } from '../lib/dom.js';
-import { score } from '../lib/format.js';
+import { countOf, score } from '../lib/format.js';
 import { decodeScene, robotsOf } from '../lib/scene.js';
 import { AtlasFile } from '../lib/atlas_file.js';
 import { AtlasPage, startOf } from '../views/atlas_page.js';
@@ -42,7 +42,8 @@ async function show() {
         : 'This page has no recordings, and no service to compute a walk.' };
     }
     const [robot] = robotsOf(decodeScene(await load(file, 'arrayBuffer')));
-    return { robot, words: `Recorded in the first of ${about.environments.length} environments, ` +
+    return { robot, words: 'Recorded in the first of ' +
+      `${countOf(about.environments.length, 'environment')}, ` +
       `as the canonical form stands, under the controller of the atlas and its physics, ` +
       `${about.physics.slice(0, 8)}: loss ${score(robot.loss)}` };
   });

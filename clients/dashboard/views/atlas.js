@@ -2,7 +2,7 @@
 
 import { getJson, withQuery } from '../lib/api.js';
 import { choice, fill, h, patch, say, table } from '../lib/dom.js';
-import { bytes, count, score } from '../lib/format.js';
+import { bytes, count, countOf, score } from '../lib/format.js';
 import { isOpen, pathOf } from '../lib/kinds.js';
 import { roll } from '../lib/rollouts.js';
 import { loadSheet } from '../lib/sheet.js';
@@ -36,7 +36,8 @@ export async function mount(main, [name], parameters, app) {
     const { physics, precision } = known;
     const [robot] = await roll([{ voxels: genotype }], environment,
       { controller: `sha256:${about.controller}`, physics, precision, signal });
-    return { robot, words: `As drawn, in the first of ${about.environments.length} environments, ` +
+    return { robot, words: 'As drawn, in the first of ' +
+      `${countOf(about.environments.length, 'environment')}, ` +
       `under the controller ${physics ? 'and physics of the atlas' : 'of the atlas, but with ' +
         'default physics, because this service does not know those of the atlas'}` +
       `: loss ${score(robot.loss)}` };

@@ -1,7 +1,7 @@
 /** Two atlases compared: how many bodies have which pair of scores. */
 
 import { announce, choice, fill, h, say } from '../lib/dom.js';
-import { count, score } from '../lib/format.js';
+import { count, countOf, score } from '../lib/format.js';
 import { AtlasHttp } from '../lib/atlas_http.js';
 import { AtlasSquare } from './atlas_square.js';
 
@@ -61,7 +61,7 @@ export class AtlasCompare {
       this.found = found;
       this.other = { name, inOther };
       const lost = found.outside ? ` ${count(found.outside)} of them diverged in one.` : '';
-      say(this.words, `${count(found.bodies)} bodies are in both.${lost} ` +
+      say(this.words, `${countOf(found.bodies, 'body is', 'bodies are')} in both.${lost} ` +
         tauWords(found.kendall_tau));
       fill(this.bests, [[page.about.best, ours, page.atlas.name, name],
         [about.best, theirs, name, page.atlas.name]].map(([best, there, here, away]) =>

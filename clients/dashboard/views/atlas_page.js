@@ -89,8 +89,8 @@ export class AtlasPage {
     return h('div.stack.atlas-head', {},
       h('div.title', {}, h('h1', {}, `Atlas ${about.name}`),
         others ? h('div.actions', {}, others) : null),
-      h('p.sentence', {}, `All ${count(about.bodies)} robots of at most ${about.voxels_max} ` +
-        `voxels, each scored at `, h('em', {}, taskTitle(about.environments)),
+      h('p.sentence', {}, `All ${count(about.bodies)} robots of at most ` +
+        `${voxels(about.voxels_max)}, each scored at `, h('em', {}, taskTitle(about.environments)),
       ': draw one, and see where it stands.'),
       h('p.muted', {}, `The score is the ${means}, the mean of ${countOf(n, 'environment')}` +
         `${isImages ? ' and of the body in all its orientations' : ''}: ↓ lower is better` +
@@ -166,7 +166,7 @@ export class AtlasPage {
     const n = cellsOf(genotype).length;
     try {
       if (n > most) {
-        throw new Error(`This atlas ends at ${most} voxels; the body has ${n}. Remove some.`);
+        throw new Error(`This atlas ends at ${voxels(most)}; the body has ${n}. Remove some.`);
       }
       const coming = this.atlas.ascent(genotype);
       coming.catch(() => {}); // then the body fails, too

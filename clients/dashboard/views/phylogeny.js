@@ -2,7 +2,7 @@
 
 import { getJson, request, withQuery } from '../lib/api.js';
 import { button, fill, h, say, select } from '../lib/dom.js';
-import { count, countOf, inOwnUnit, score, scoreBy } from '../lib/format.js';
+import { count, countOf, inOwnUnit, score, scoreBy, voxels } from '../lib/format.js';
 import { OPERATOR_HUES, layout, nearest } from '../lib/lineage.js';
 import { nameOf, shortOf } from '../lib/names.js';
 import { picture } from '../lib/picture.js';
@@ -360,7 +360,8 @@ export async function mount(main, id, parameters, app) {
 
   async function load() {
     const lineages = await loadColumns(id, 'lineages', stop.signal);
-    show(lineages, `${count(lineages.number.length)} ancestors of the living; loading the rest…`);
+    show(lineages,
+      `${countOf(lineages.number.length, 'ancestor')} of the living; loading the rest…`);
     await loadAll();
   }
 
@@ -377,7 +378,7 @@ export async function mount(main, id, parameters, app) {
       h('div.stack', {},
       h('h2', { title: design.robot }, `#${number} ${nameOf(design.robot)}`),
       h('code', {}, shortOf(design.robot)),
-      h('div', {}, `${scoreBy(own, design)}, ${design.voxels} voxels, ${design.operator}`),
+      h('div', {}, `${scoreBy(own, design)}, ${voxels(design.voxels)}, ${design.operator}`),
       h('div.muted', {}, `born in generation ${design.born}, ` +
         `${design.died === null ? 'alive' : `died in ${design.died}`}`),
       design.lower_bound

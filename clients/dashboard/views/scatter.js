@@ -2,7 +2,7 @@
 
 import { ticks } from '../lib/chart.js';
 import { announce, button, fill, h, paint, select, swatch } from '../lib/dom.js';
-import { number } from '../lib/format.js';
+import { countOf, number } from '../lib/format.js';
 
 /** Traits of a design, in addition to the measures of a study: names by key. */
 const TRAITS = { score: 'score', voxels: 'voxels', footprint: 'footprint', springs: 'springs',
@@ -164,7 +164,7 @@ export class Scatter {
       y.of(design) !== null &&
       between(x.at(x.of(design)), x0, x1) && between(y.at(y.of(design)), y0, y1));
     this.draw();
-    announce(`${this.selected.length} designs chosen`);
+    announce(`${countOf(this.selected.length, 'design')} chosen`);
     if (this.selected.length) this.#choose();
   }
 

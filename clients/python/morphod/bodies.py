@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, Union
 import numpy as np
 
 from .arrays import numbers, occupied
-from .errors import BodyError
+from .errors import BodyError, counted
 from .evogym import is_pair, lost_of, rows_of, upright
 
 if TYPE_CHECKING:
@@ -146,7 +146,9 @@ class Body:
 
 def dropped(voxels: int) -> tuple[str, ...]:
     """Returns what a repair adds to `lost`."""
-    return (f"{voxels} voxels that did not belong to the largest piece", ) if voxels else ()
+    if voxels == 0:
+        return ()
+    return (f"{counted(voxels, 'voxel')} that did not belong to the largest piece", )
 
 
 def genotypes_of(voxels: NDArray[np.bool_]) -> list[str]:

@@ -8,6 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 
+def counted(n: int, thing: str, things: str = "") -> str:
+    """Returns "1 voxel" or "3 voxels", for a message."""
+    return f"{n} {thing if n == 1 else things or thing + 's'}"
+
+
 def printable(text: object) -> str:
     """Escapes control characters in a text from the service, and characters that change the writing
     direction, so that a terminal that prints an error does not interpret them."""

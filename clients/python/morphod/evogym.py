@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .arrays import first, materials, numbers
-from .errors import BodyError
+from .errors import BodyError, counted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -95,9 +95,8 @@ def _touching(rows: NDArray[Any]) -> set[frozenset[int]]:
 def _apart(n: int) -> tuple[str, ...]:
     if n == 0:
         return ()
-    pairs = "1 pair of adjacent voxels that was" if n == 1 else (
-        f"{n} pairs of adjacent voxels that were")
-    return (f"{pairs} not connected became connected",)
+    return (f"{counted(n, 'pair')} of adjacent voxels that {'was' if n == 1 else 'were'} not "
+            "connected became connected",)
 
 
 # ---- worlds: voxels by index in a grid; its rows go upward ----

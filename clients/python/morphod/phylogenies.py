@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import MorphodError, reading
+from .errors import MorphodError, counted, reading
 from .frames import pandas
 from .scenes import read_envelope
 
@@ -57,7 +57,7 @@ class Phylogeny:
         return len(self.parent)
 
     def __repr__(self) -> str:
-        return f"Phylogeny({len(self)} designs, {int(self.alive.sum())} alive)"
+        return f"Phylogeny({counted(len(self), 'design')}, {int(self.alive.sum())} alive)"
 
     def frame(self) -> pd.DataFrame:
         """Returns a table with the index `number`: parent and other_parent (nullable integers),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .bodies import Body, dropped
-from .errors import reading
+from .errors import counted, reading
 from .frames import frame
 from .weights import read_safetensors, torch_module
 
@@ -251,7 +251,7 @@ class Asked:
         return len(self.bodies)
 
     def __repr__(self) -> str:
-        return f"<Asked: {len(self)} bodies for batch {self.batch}>"
+        return f"<Asked: {counted(len(self), 'body', 'bodies')} for batch {self.batch}>"
 
 
 def children_of(designs: Sequence[Mapping[str, str]], parents: Sequence[Sequence[int]] | None,

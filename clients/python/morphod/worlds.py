@@ -13,7 +13,7 @@ import numpy as np
 
 from . import evogym
 from .bodies import Body
-from .errors import BodyError, MorphodError
+from .errors import BodyError, MorphodError, counted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,7 +49,8 @@ class World(dict[str, Any]):
         return {**({} if task is None else {"task": task}), "terrain": dict(self), **place}
 
     def __repr__(self) -> str:
-        return f"<World {self.name}: {len(self['heights_m'])} heights, {len(self.bodies)} bodies>"
+        return (f"<World {self.name}: {counted(len(self['heights_m']), 'height')}, "
+                f"{counted(len(self.bodies), 'body', 'bodies')}>")
 
 
 def read_world(path: str | os.PathLike[str], *, start_cell: float | None = None,
@@ -197,7 +198,7 @@ def _filled(surface: Mapping[int, int], ditches: Sequence[tuple[int, int]], deep
     for begin, end in ditches:
         heights[begin - first:end - first] = min(surface[begin - 1], surface[end]) - deep
     if ditches:
-        gaps = "1 gap" if len(ditches) == 1 else f"{len(ditches)} gaps"
+        gaps = counted(len(ditches), "gap")
         lost.append(f"{gaps} without ground (the first from cell {ditches[0][0]} to "
                     f"{ditches[0][1]}): a ditch {deep * CELL_M:g} m deep, not a fall")
     return heights
@@ -213,13 +214,10 @@ def _report_cells(solid: NDArray[np.bool_], surface: Mapping[int, int], lost: li
         above += int(solid[z:, x].sum())
         below += int((~solid[:z, x]).sum())
     if above:
-        lost.append(f"{_cells(above)} above the ground: ceilings, overhangs or other levels")
+        lost.append(f"{counted(above, 'cell')} above the ground: ceilings, overhangs or other "
+                    "levels")
     if below:
-        lost.append(f"{_cells(below)} of free space under the ground")
-
-
-def _cells(n: int) -> str:
-    return "1 cell" if n == 1 else f"{n} cells"
+        lost.append(f"{counted(below, 'cell')} of free space under the ground")
 
 
 def _report_objects(ground: Mapping[str, evogym.Thing], loose: Sequence[str], lost: list[str]
@@ -227,7 +225,8 @@ def _report_objects(ground: Mapping[str, evogym.Thing], loose: Sequence[str], lo
     for name, thing in ground.items():
         others = int(((thing.rows != 0) & (thing.rows != evogym.FIXED)).sum())
         if others:
-            lost.append(f"{name}: {others} voxels of other materials became rigid ground")
+            lost.append(f"{name}: {counted(others, 'voxel')} of other materials became rigid "
+                        "ground")
     if loose:
         more = len(loose) - _NAMES_MAX
         lost.append(f"moving objects: {', '.join(loose[:_NAMES_MAX])}" +
@@ -249,7 +248,8 @@ def _bodies(robots: Mapping[str, evogym.Thing], surface: Mapping[int, int], lost
         if len(bodies) > 1:
             lost.append(f"the place of robot {name}: every rollout has one robot, at the start")
         elif under and z > max(under):
-            lost.append(f"robot {name} starts on the ground, {_cells(z - max(under))} lower")
+            lower = counted(z - max(under), "cell")
+            lost.append(f"robot {name} starts on the ground, {lower} lower")
     return bodies
 
 
@@ -278,7 +278,7 @@ def _profile(heights: NDArray[np.float64], first: int, start: float, spacing_m: 
         end = shown[0 if where == "before" else -1]
         x = 0 if where == "before" else (n - 1) * spacing_m
         if len(cells) and np.abs(cells - end).max() > 1e-9:
-            lost.append(f"{_cells(len(cells))} {where} x = {x:g} m, because a terrain has "
+            lost.append(f"{counted(len(cells), 'cell')} {where} x = {x:g} m, because a terrain has "
                         f"{HEIGHTS_MAX} heights; a larger spacing_m keeps more")
     steps = np.abs(np.diff(shown)) * CELL_M
     if steps.max() > 1e-9:

@@ -1,4 +1,4 @@
-/* Numbers in messages: different numbers have different texts. */
+/* Numbers and names in messages. Different numbers have different texts. */
 #include "base/text.h"
 
 #include <float.h>
@@ -24,5 +24,23 @@ static void reads_back(void)
   }
 }
 
-static const struct check_case cases[] = {{"the text of a number reads back", reads_back}};
+static void counts(void)
+{
+  CHECK_TEXT(MO_COUNTED(0, "open job"), "0 open jobs");
+  CHECK_TEXT(MO_COUNTED(1, "open job"), "1 open job");
+  CHECK_TEXT(MO_COUNTED(UINT64_MAX, "byte"), "18446744073709551615 bytes");
+}
+
+static void cuts(void)
+{
+  char text[8];
+  CHECK_TEXT(mo_cut_text("abcd", 4, text), "abcd");
+  CHECK_TEXT(mo_cut_text("abcde", 4, text), "abcd…");
+  CHECK_TEXT(mo_cut_text("abcéf", 4, text), "abc…"); /* é has two bytes */
+  CHECK_TEXT(mo_cut_text("é", 1, text), "…");
+}
+
+static const struct check_case cases[] = {{"the text of a number reads back", reads_back},
+                                          {"one thing, and several", counts},
+                                          {"names are cut between two characters", cuts}};
 CHECK_MAIN(cases)

@@ -12,7 +12,7 @@ import numpy as np
 from ..atlas import Atlas
 from ..atlas.reader import Where
 from ..bodies import Body
-from ..errors import reading
+from ..errors import counted, reading
 from ..frames import frame
 from ..scenes import Environments
 from .._wire import Request, given as _given
@@ -47,8 +47,9 @@ class AsyncStoredAtlas:
 
     @reading()
     def __repr__(self) -> str:
-        return (f"<{type(self).__name__} {self.name}: {self.data['bodies']} bodies of at most "
-                f"{self.data['voxels_max']} voxels>")
+        return (f"<{type(self).__name__} {self.name}: "
+                f"{counted(self.data['bodies'], 'body', 'bodies')} of at most "
+                f"{counted(self.data['voxels_max'], 'voxel')}>")
 
     async def refresh(self) -> None:
         """Fetches `data` again."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ..bodies import BodyLike, OnFault, Repair, designs_of, voxels_of, warn_of_ids
 from ..comparisons import CampaignComparison, ControllerComparison
-from ..errors import MorphodError, reading
+from ..errors import MorphodError, counted, reading
 from ..frames import frame
 from ..objectives import Plan
 from ..scenes import Environments
@@ -186,9 +186,9 @@ class AsyncClient(Scoring, Learning, Atlases, Certifying):
         with reading():
             warn_of_ids(first["founders"])
         if isinstance(initial, AsyncCampaign) and members[0].left_out:
-            warnings.warn(f"{len(members[0].left_out)} designs of campaign {initial.id} do not fit "
-                          "the workspace and are left out; random bodies take their places",
-                          stacklevel=2)
+            left_out = counted(len(members[0].left_out), "design")
+            warnings.warn(f"campaign {initial.id} has {left_out} outside the workspace, left out "
+                          "here: random bodies take their places", stacklevel=2)
         return AsyncCampaigns(self._connection, members)
 
     async def study(self, name: str, *, population: int | None = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ..frames import frame
-from ..errors import reading
+from ..errors import counted, reading
 from .._wire import Request
 from .connection import AsyncConnection
 
@@ -27,8 +27,9 @@ class AsyncFleet:
     @reading()
     def __repr__(self) -> str:
         data = self.data
-        return (f"<{data['n_sessions']} workers with {data['n_threads']} threads and "
-                f"{data['n_devices']} GPUs, {data['rollouts_per_s']:,.0f} rollouts/s>")
+        return (f"<{counted(data['n_sessions'], 'worker')} with "
+                f"{counted(data['n_threads'], 'thread')} and {counted(data['n_devices'], 'GPU')}, "
+                f"{data['rollouts_per_s']:,.0f} rollouts/s>")
 
     @property
     @reading()

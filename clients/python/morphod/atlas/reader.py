@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, Union
 import numpy as np
 
 from ..bodies import Body, BodyLike
-from ..errors import BodyError
+from ..errors import BodyError, counted
 from .forms import Cell, Space, around, is_whole
 from .graph import Basins, Steps, basins_of, steps_of
 from .layout import AtlasError, Block, Head, check_all, read_blocks, read_head
@@ -135,8 +135,9 @@ class Atlas:
         return self._firsts[-1]
 
     def __repr__(self) -> str:
-        return (f"Atlas({len(self)} bodies of at most {self.voxels_max} voxels, "
-                f"{self.n_environments} environments, {self.orientations})")
+        return (f"Atlas({counted(len(self), 'body', 'bodies')} of at most "
+                f"{counted(self.voxels_max, 'voxel')}, "
+                f"{counted(self.n_environments, 'environment')}, {self.orientations})")
 
     # ---- bodies ----
 
