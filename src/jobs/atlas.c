@@ -288,21 +288,19 @@ static void show(void *context, double rollouts_per_s)
 static int score_wave(struct run *run)
 {
   struct mo_scoring *scoring = &run->scoring;
-  *scoring = (struct mo_scoring){
-      .runner = run->runner,
-      .grid = {.block = mo_block_of(run->jobs, &run->status.job, &run->runner->interrupt),
-               .genotypes = run->wave.designs,
-               .environments = run->environments,
-               .n_designs = run->wave.n_designs,
-               .n_environments = run->n_environments},
-      .context = run,
-      .take = take,
-      .save = save_arrived,
-      .n_unsaved = &run->n_unsaved,
-      .measures = run->source.measures != 0,
-      .show = show};
+  *scoring = (struct mo_scoring){.runner = run->runner,
+                                 .grid = {.block = mo_block_of(run->jobs, &run->status.job),
+                                          .genotypes = run->wave.designs,
+                                          .environments = run->environments,
+                                          .n_designs = run->wave.n_designs,
+                                          .n_environments = run->n_environments},
+                                 .context = run,
+                                 .take = take,
+                                 .save = save_arrived,
+                                 .n_unsaved = &run->n_unsaved,
+                                 .measures = run->source.measures != 0,
+                                 .show = show};
   scoring->grid.block.controller = run->ready;
-  scoring->grid.block.share = run->runner->share;
   int error = mo_grid_create(&scoring->grid);
   if (error == MO_OK)
     error = mo_score(scoring);

@@ -26,6 +26,12 @@ static int begin(struct mo_campaign_run *run)
   return MO_OK;
 }
 
+static void free_weights(struct mo_campaign_run *run)
+{
+  mo_compute_controller_free(run->scores.weights);
+  run->scores.weights = NULL;
+}
+
 /* Makes the survivors the population. A commit may still be reading the rows that they come
  * from. */
 static int advance_generation(struct mo_campaign_run *run)
@@ -39,6 +45,8 @@ static int advance_generation(struct mo_campaign_run *run)
   run->times.prepared_s = 0;
   run->generation++;
   mo_campaign_free_scores(&run->scores);
+  if (run->mode->learns)
+    free_weights(run);
   return MO_OK;
 }
 
@@ -139,16 +147,7 @@ static int finish(struct mo_campaign_run *run)
   return error == MO_OK && run->settings->generations == generations ? MO_ERR_CONFLICT : error;
 }
 
-/* The commit of a batch has put the study back into the queue, where it waits for its client. The
- * attempt has nothing to end (MO_ERR_CONFLICT). */
-static int leave_queued(struct mo_campaign_run *run)
-{
-  (void)run;
-  return MO_ERR_CONFLICT;
-}
-
 static const struct phase end = {finish, MO_PHASE_SAVE, .parks = true, .after_commit = true};
-static const struct phase end_of_batch = {leave_queued, .after_commit = true};
 
 /* Runs generations until the campaign ends. Rereads the campaign after each one, because
  * generations may have been added. */
@@ -168,11 +167,14 @@ static int evolve(struct mo_campaign_run *run)
   return error;
 }
 
-/* Runs the pending batch of a study. */
+/* Runs the pending batch of a study. Its commit puts the study back into the queue, where it waits
+ * for its client, so the attempt has nothing to end (MO_ERR_CONFLICT). */
 static int run_batch(struct mo_campaign_run *run)
 {
-  const int error = run_generation(run);
-  return error == MO_OK ? run_phase(run, &end_of_batch) : error;
+  int error = run_generation(run);
+  if (error == MO_OK)
+    error = mo_campaign_wait_for_commit(run);
+  return error == MO_OK ? MO_ERR_CONFLICT : error;
 }
 
 /* Saves the results of a stopped run. */
@@ -193,7 +195,7 @@ static void clean_up(void *context)
   mo_campaign_writing_free(run);
   mo_campaign_free_scores(&run->scores);
   mo_campaign_free_learning(&run->learning);
-  mo_compute_controller_free(run->scores.frozen);
+  free_weights(run);
   mo_controller_free(run->controller);
   mo_seen_free(run->seen);
   mo_study_batch_free(run->batch);

@@ -111,22 +111,20 @@ static void show(void *context, double rollouts_per_s)
 }
 
 /* Scores the elite in `n_sets` sets of the next worlds. */
-static int score_part(struct elite *elite, struct mo_compute_controller *weights, uint32_t n_sets)
+static int score_part(struct elite *elite, uint32_t n_sets)
 {
   struct mo_campaign_run *run = elite->run;
   struct mo_grid *grid = &elite->scoring.grid;
   const bool selects = run->status.record.select_by.is_set;
   elite->scoring = (struct mo_scoring){
       .runner = run->runner, .context = elite, .take = take, .show = show, .measures = selects};
-  *grid =
-      (struct mo_grid){.block = mo_block_of(run->jobs, &run->status.job, &run->runner->interrupt),
-                       .genotypes = elite->genotypes,
-                       .environments = elite->worlds + elite->first,
-                       .n_designs = n_sets * elite->n,
-                       .n_environments = elite->width,
-                       .n_sets = n_sets};
-  grid->block.share = run->runner->share;
-  grid->block.controller = weights;
+  *grid = (struct mo_grid){.block = mo_block_of(run->jobs, &run->status.job),
+                           .genotypes = elite->genotypes,
+                           .environments = elite->worlds + elite->first,
+                           .n_designs = n_sets * elite->n,
+                           .n_environments = elite->width,
+                           .n_sets = n_sets};
+  grid->block.controller = run->scores.weights;
   int error = mo_grid_create(grid);
   if (error == MO_OK)
     error = mo_score(&elite->scoring);
@@ -137,16 +135,16 @@ static int score_part(struct elite *elite, struct mo_compute_controller *weights
 
 /* A set has at most MO_ENVIRONMENTS_MAX worlds, and sets of a grid have equally many: full sets
  * first, then the rest. */
-static int score(struct elite *elite, struct mo_compute_controller *weights)
+static int score(struct elite *elite)
 {
   const uint32_t n_full = elite->n_worlds / MO_ENVIRONMENTS_MAX;
   const uint32_t rest = elite->n_worlds % MO_ENVIRONMENTS_MAX;
   int error = MO_OK;
   elite->width = MO_ENVIRONMENTS_MAX;
   if (n_full > 0)
-    error = score_part(elite, weights, n_full);
+    error = score_part(elite, n_full);
   elite->width = rest;
-  return error == MO_OK && rest > 0 ? score_part(elite, weights, 1) : error;
+  return error == MO_OK && rest > 0 ? score_part(elite, 1) : error;
 }
 
 /* ---- results ---- */
@@ -187,17 +185,12 @@ static int allocate(struct elite *elite)
 static int evaluate(struct elite *elite)
 {
   struct mo_campaign_run *run = elite->run;
-  struct mo_compute_controller *own = NULL;
-  struct mo_compute_controller *weights = NULL;
   int error = allocate(elite);
   if (error == MO_OK)
     error = draw_worlds(elite);
-  if (error == MO_OK)
-    error = mo_campaign_weights(run, &own, &weights);
   mo_campaign_enter(run, MO_PHASE_SCORE, elite->n);
   if (error == MO_OK)
-    error = score(elite, weights);
-  mo_compute_controller_free(own);
+    error = score(elite);
   for (uint32_t i = 0; i < elite->n && error == MO_OK; i++)
     run->held_out[run->n_held_out++] =
         result_of(elite, i, elite->values + (size_t)elite->n * elite->n_worlds);

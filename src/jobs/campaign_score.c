@@ -63,13 +63,11 @@ static int allocate(struct mo_campaign_run *run)
   scores->n = run->n_parents + run->n_children - scores->first;
   scores->losses = calloc((size_t)scores->n + 1, sizeof(*scores->losses));
   scores->unsaved = calloc((size_t)scores->n + 1, sizeof(*scores->unsaved));
-  *grid =
-      (struct mo_grid){.block = mo_block_of(run->jobs, &run->status.job, &run->runner->interrupt),
-                       .genotypes = run->rows->bits + scores->first,
-                       .environments = run->environments,
-                       .n_designs = scores->n,
-                       .n_environments = run->n_environments};
-  grid->block.share = run->runner->share;
+  *grid = (struct mo_grid){.block = mo_block_of(run->jobs, &run->status.job),
+                           .genotypes = run->rows->bits + scores->first,
+                           .environments = run->environments,
+                           .n_designs = scores->n,
+                           .n_environments = run->n_environments};
   if (scores->losses == NULL || scores->unsaved == NULL || mo_grid_create(grid) != MO_OK)
     return MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < scores->n; i++) {
@@ -260,28 +258,17 @@ static void show(void *context, double rollouts_per_s)
   mo_campaign_advance(run, run->scores.n_done, rollouts_per_s);
 }
 
-int mo_campaign_weights(struct mo_campaign_run *run, struct mo_compute_controller **own,
-                        struct mo_compute_controller **weights)
-{
-  struct mo_campaign_scores *scores = &run->scores;
-  const bool learns = run->learning.learner.training != NULL;
-  int error = MO_OK;
-  *own = NULL;
-  if (learns)
-    error = mo_compute_controller_create(
-        run->jobs->compute, mo_training_controller(run->learning.learner.training), own);
-  else if (scores->frozen == NULL) /* kept while the campaign runs, because devices have copies */
-    error = mo_compute_controller_create(run->jobs->compute, run->controller, &scores->frozen);
-  *weights = learns ? *own : scores->frozen;
-  return error;
-}
-
+/* Computes the open cells with the weights of this generation. In modes that do not learn, these
+ * are prepared for the back end once, because devices have copies. */
 static int compute(struct mo_campaign_run *run)
 {
   struct mo_campaign_scores *scores = &run->scores;
-  struct mo_compute_controller *own = NULL;
-  struct mo_compute_controller *weights = NULL;
-  int error = mo_campaign_weights(run, &own, &weights);
+  const struct mo_training *training = run->learning.learner.training;
+  int error = MO_OK;
+  if (scores->weights == NULL)
+    error = mo_compute_controller_create(
+        run->jobs->compute, training != NULL ? mo_training_controller(training) : run->controller,
+        &scores->weights);
   scores->scoring.runner = run->runner;
   scores->scoring.context = run;
   scores->scoring.take = take;
@@ -289,11 +276,8 @@ static int compute(struct mo_campaign_run *run)
   scores->scoring.n_unsaved = &scores->n_unsaved;
   scores->scoring.show = show;
   scores->scoring.measures = run->status.record.measures != 0;
-  scores->scoring.grid.block.controller = weights;
-  if (error == MO_OK)
-    error = mo_score(&scores->scoring);
-  mo_compute_controller_free(own);
-  return error;
+  scores->scoring.grid.block.controller = scores->weights;
+  return error == MO_OK ? mo_score(&scores->scoring) : error;
 }
 
 /* Computes the means of the measures, which are the scores if the campaign selects by one. */

@@ -15,9 +15,8 @@ struct mo_campaign_run;
 struct mo_campaign_scores {
   struct mo_scoring scoring;
   uint32_t first, n;
-  struct mo_compute_controller *frozen; /* in modes that do not learn: ready for the back end; NULL
-                                         * at first */
-  struct mo_campaign_loss *losses;      /* (n) */
+  struct mo_compute_controller *weights; /* that score this generation; NULL: not prepared yet */
+  struct mo_campaign_loss *losses;       /* (n) */
   /* Of a campaign that names measures: those of each rollout, (n, n_environments), and the means of
    * each candidate, (n, means). */
   double (*measures)[MO_MEASURES];
@@ -27,18 +26,13 @@ struct mo_campaign_scores {
   uint32_t n_done;   /* of n */
   uint64_t n_cached; /* losses that were found in the table `scores` */
 };
-void mo_campaign_free_scores(struct mo_campaign_scores *scores); /* everything except the
-                                                                  * controller */
+void mo_campaign_free_scores(struct mo_campaign_scores *scores); /* everything except the weights */
 
 /* Finds stored losses. */
 int mo_campaign_look_up(struct mo_campaign_run *run);
 uint64_t mo_campaign_n_scores(const struct mo_campaign_run *run);
 /* Scores the children, after the look-up, and the parents as well in a campaign that learns. */
 int mo_campaign_score(struct mo_campaign_run *run);
-/* Prepares the weights that score this generation for the back end. *own: to be freed by the
- * caller; NULL: the run owns them. */
-int mo_campaign_weights(struct mo_campaign_run *run, struct mo_compute_controller **own,
-                        struct mo_compute_controller **weights);
 /* Saves the losses that are not saved yet. run: struct mo_campaign_run. */
 int mo_campaign_save_losses(void *run);
 

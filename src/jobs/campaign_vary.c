@@ -8,11 +8,12 @@
 
 /* ---- bodies that must not be born ---- */
 
-/* Collects the designs that must not be born again. */
-static int read_seen(struct mo_campaign_run *run)
+int mo_campaign_read_seen(struct mo_campaign_run *run)
 {
   const struct mo_form_set *excluded = NULL;
   int error = MO_OK;
+  if (!run->mode->makes_children || run->seen != NULL)
+    return MO_OK;
   if (run->settings->exclude_pretraining)
     error = mo_exclusion_acquire(run, &excluded);
   if (error == MO_OK)
@@ -20,11 +21,6 @@ static int read_seen(struct mo_campaign_run *run)
   if (error == MO_OK)
     error = mo_store_campaign_each(run->jobs->store, run->id, mo_seen_take, run->seen);
   return error;
-}
-
-int mo_campaign_read_seen(struct mo_campaign_run *run)
-{
-  return !run->mode->makes_children || run->seen != NULL ? MO_OK : read_seen(run);
 }
 
 /* ---- children ---- */

@@ -307,23 +307,21 @@ static int score_group(struct run *run)
   struct group *group = &run->group;
   const struct mo_trial *trial = &run->trials[group->parts[0].trial];
   struct mo_scoring *scoring = &run->scoring;
-  *scoring = (struct mo_scoring){
-      .runner = run->runner,
-      .grid = {.block = mo_block_of(run->jobs, &run->status.job, &run->runner->interrupt),
-               .genotypes = group->genotypes,
-               .environments = group->environments,
-               .n_designs = group->n_entries,
-               .n_environments = group->width,
-               .n_sets = group->n},
-      .context = run,
-      .take = take,
-      .save = save_arrived,
-      .n_unsaved = &run->n_unsaved,
-      .measures = group->measures != NULL,
-      .show = show};
+  *scoring = (struct mo_scoring){.runner = run->runner,
+                                 .grid = {.block = mo_block_of(run->jobs, &run->status.job),
+                                          .genotypes = group->genotypes,
+                                          .environments = group->environments,
+                                          .n_designs = group->n_entries,
+                                          .n_environments = group->width,
+                                          .n_sets = group->n},
+                                 .context = run,
+                                 .take = take,
+                                 .save = save_arrived,
+                                 .n_unsaved = &run->n_unsaved,
+                                 .measures = group->measures != NULL,
+                                 .show = show};
   struct mo_block *block = &scoring->grid.block;
   block->controller = run->ready;
-  block->share = run->runner->share;
   block->physics = trial->physics;
   block->precision = trial->precision;
   if (trial->precision == MO_FLOAT64)

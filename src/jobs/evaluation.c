@@ -130,12 +130,13 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
   if (error != MO_OK)
     return error;
   work = active->work;
-  active->grid = (struct mo_grid){.block = mo_block_of(all->jobs, &work->job, &active->cancel),
+  active->grid = (struct mo_grid){.block = mo_block_of(all->jobs, &work->job),
                                   .genotypes = work->genotypes,
                                   .environments = work->environments,
                                   .n_designs = work->n_designs,
                                   .n_environments = work->n_environments,
                                   .n_sets = work->n_sets};
+  active->grid.block.cancel = &active->cancel;
   error = mo_grid_create(&active->grid);
   if (error == MO_OK)
     error = mo_share_open(all->jobs, active->id, MO_JOB_EVALUATION, &active->grid.block.share);

@@ -116,21 +116,19 @@ int mo_held_out_score(struct mo_runner *runner, const struct mo_held_out *held_o
   const size_t n = (size_t)held_out->n_designs * held_out->n_environments;
   struct mo_outcome *outcomes = calloc(n + 1, sizeof(*outcomes));
   struct mo_compute_controller *ready = NULL;
-  struct mo_scoring scoring = {
-      .runner = runner,
-      .grid = {.block = mo_block_of(runner->jobs, &status->job, &runner->interrupt),
-               .genotypes = held_out->genotypes,
-               .environments = held_out->environments,
-               .n_designs = held_out->n_designs,
-               .n_environments = held_out->n_environments},
-      .context = outcomes,
-      .take = take};
+  struct mo_scoring scoring = {.runner = runner,
+                               .grid = {.block = mo_block_of(runner->jobs, &status->job),
+                                        .genotypes = held_out->genotypes,
+                                        .environments = held_out->environments,
+                                        .n_designs = held_out->n_designs,
+                                        .n_environments = held_out->n_environments},
+                               .context = outcomes,
+                               .take = take};
   int error = outcomes == NULL ? MO_ERR_NO_MEMORY : mo_grid_create(&scoring.grid);
   if (error == MO_OK)
     error = mo_compute_controller_create(runner->jobs->compute, controller, &ready);
   scoring.grid.block.controller = ready;
   scoring.grid.block.urgency = MO_BATCH;
-  scoring.grid.block.share = runner->share;
   if (error == MO_OK)
     error = mo_score(&scoring);
   if (error == MO_OK)

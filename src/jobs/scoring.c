@@ -20,15 +20,13 @@
 
 /* ---- grids ---- */
 
-struct mo_block mo_block_of(const struct mo_jobs *jobs, const struct mo_job *job,
-                            const volatile int *cancel)
+struct mo_block mo_block_of(const struct mo_jobs *jobs, const struct mo_job *job)
 {
   return (struct mo_block){.lattice = jobs->lattice,
                            .physics = job->physics,
                            .precision = job->precision,
                            .urgency = mo_back_end_urgency(jobs, job),
                            .back_end = job->back_end,
-                           .cancel = cancel,
                            .tag = job->id};
 }
 
@@ -380,9 +378,9 @@ static int compute(struct run *run)
 
 int mo_score(struct mo_scoring *scoring)
 {
-  struct mo_jobs *jobs = scoring->runner->jobs;
+  struct mo_runner *runner = scoring->runner;
   struct run run = {.scoring = scoring,
-                    .window = {.compute = jobs->compute,
+                    .window = {.compute = runner->jobs->compute,
                                .inbox = &run.inbox,
                                .grid = &scoring->grid,
                                .flight_bytes = sizeof(struct mo_flight)},
@@ -390,6 +388,8 @@ int mo_score(struct mo_scoring *scoring)
                     .mutex = PTHREAD_MUTEX_INITIALIZER,
                     .news = PTHREAD_COND_INITIALIZER,
                     .inbox = {.mutex = &run.mutex, .news = &run.news}};
+  scoring->grid.block.share = runner->share;
+  scoring->grid.block.cancel = &runner->interrupt;
   if (scoring->measures) {
     run.window.flight_bytes = sizeof(struct measured_flight);
     run.window.prepare = prepare_measures;

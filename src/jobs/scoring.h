@@ -27,9 +27,9 @@ struct mo_grid {
   /* A ring of the designs whose cells mo_grid_open opened. NULL: it is never called. */
   uint32_t *again, first_again, n_again;
 };
-/* Returns the fields that all blocks of a job share, except controller and share. */
-struct mo_block mo_block_of(const struct mo_jobs *jobs, const struct mo_job *job,
-                            const volatile int *cancel);
+/* Returns the fields that all blocks of a job share, except its controller, and the share and
+ * `cancel`, which mo_score sets. */
+struct mo_block mo_block_of(const struct mo_jobs *jobs, const struct mo_job *job);
 /* Allocates the cells of a grid whose other fields are filled in. MO_ERR_NO_MEMORY. */
 int mo_grid_create(struct mo_grid *grid);
 void mo_grid_free(struct mo_grid *grid);
