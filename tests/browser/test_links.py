@@ -25,6 +25,8 @@ BROKEN = {
     "overview?state=bored": "one of queued", "overview?archived=maybe": "one of true, all",
     "campaigns/{campaign}?compare=x": "the number of a job",
     "trainings/{training}?compare=1,2,3,4": "compare names 4 jobs",
+    "trainings/{training}?compare={training}": "this job is on the page already",
+    "campaigns/{campaign}?compare=1,1": "compare=1: this job is on the page already",
     "lab?voxels=01": "144 digits", "compare?designs=12": "12 is not a robot",
     "compare": "names no robots",
 }
