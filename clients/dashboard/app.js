@@ -180,7 +180,7 @@ function askForToken(retry) {
     type: 'password', autocomplete: 'off', required: true, 'aria-label': 'Token',
   });
   const fault = h('p.error.wide', { role: 'alert' },
-    getToken() ? 'The service does not accept the token that this tab has.' : '');
+    getToken() ? "The service does not accept this tab's token." : '');
   async function submit(event) {
     event.preventDefault();
     setToken(input.value.trim());
@@ -230,7 +230,7 @@ async function takeToken() {
   setToken(token);
 }
 
-const HOME = () => h('p', {}, h('a', { href: '#/' }, 'To the home page'));
+const HOME = () => h('p', {}, h('a', { href: '#/' }, 'Go to the home page'));
 
 class Frame {
   constructor(chooseTheme) {
@@ -292,8 +292,8 @@ class Frame {
       return;
     }
     this.wasDown = true;
-    this.banner.textContent = 'The service cannot be reached. The page may be out of date; ' +
-      'it retries automatically.';
+    this.banner.textContent = 'The service cannot be reached. This page may be out of date; ' +
+      'retrying automatically.';
     clearInterval(this.probe);
     this.probe = setInterval(() => getJson('healthz').catch(() => {}), 1500);
   }
@@ -320,7 +320,7 @@ class Frame {
     }
     if (!entry) {
       this.#offerTasks(false);
-      this.#say('There is no such page', HOME());
+      this.#say('Page not found', HOME());
       if (isMove) this.#arrive();
       return;
     }
@@ -382,7 +382,7 @@ class Frame {
     const task = name === null ? app.task : taskOf(name);
     if (!task) {
       throw new LinkError(`task=${name.slice(0, 60)} is invalid; use one of ` +
-        `${TASKS.map((one) => one.name).join(', ')}, or drawn:x_y,x_y with 1 to 16 way-points.`);
+        `${TASKS.map((one) => one.name).join(', ')}, or drawn:x_y,x_y with 1 to 16 waypoints.`);
     }
     this.#setTask(task);
   }

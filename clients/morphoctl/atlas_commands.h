@@ -15,7 +15,7 @@
       "add,remove)."
 #define OF_VOXELS "voxels", 0, "N", "Only bodies of N voxels."
 #define BY_MEASURE                                                                                 \
-  "measure", 0, "NAME", "A measure of the atlas, such as mean_speed_m_per_s, in place of the score."
+  "measure", 0, "NAME", "A measure of the atlas, such as mean_speed_m_per_s, instead of the score."
 static const struct option_spec atlas_body_options[] = {
     {AT_POSITION},
     {STEPS},
@@ -28,9 +28,9 @@ static const struct option_spec atlas_best_options[] = {
     {OF_VOXELS},
     {BY_MEASURE},
     {"order", 0, "descending|ascending",
-     "Of a measure: the highest values first (default), or the lowest."},
-    {"lo", 0, "SCORE", "Only scores (or values of the measure) from this one on."},
-    {"hi", 0, "SCORE", "Only scores (or values of the measure) below this one."},
+     "With --measure: highest values first (default), or lowest."},
+    {"lo", 0, "SCORE", "Only scores (or values of the measure) of at least this."},
+    {"hi", 0, "SCORE", "Only scores (or values of the measure) below this."},
     {"limit", 'n', "N", "Maximum number, best first (default: 20)."},
     {NULL}};
 static const struct option_spec atlas_optima_options[] = {
@@ -51,9 +51,10 @@ static const struct option_spec atlas_download_options[] = {
     {NULL}};
 
 static const struct option_spec atlas_build_options[] = {
-    {"voxels", 'n', "N", "The most voxels of a body, 1 to 10 (required).", "voxels", FIELD_WHOLE},
+    {"voxels", 'n', "N", "Largest number of voxels of a body, 1 to 10 (required).", "voxels",
+     FIELD_WHOLE},
     {"task", 't', "TASK",
-     "A task of the suite morpho-12, such as walk, in its ten worlds to select with.", "task"},
+     "A task of the suite morpho-12, such as walk, in its ten selection worlds.", "task"},
     {ENVIRONMENTS},
     {"orientations", 0, "images|canonical",
      "images: a score is the mean over the distinct images of a body, at most eight (default). "
@@ -62,8 +63,8 @@ static const struct option_spec atlas_build_options[] = {
     {"measures", 0, "LIST",
      "Measures of the bodies: all, or names separated by commas, such as "
      "displacement_m,mean_speed_m_per_s. The file grows by 4 bytes per body and measure."},
-    {"name", 0, "NAME", "Name of the atlas (default: made of task and voxels, such as walk-10).",
-     "name"},
+    {"name", 0, "NAME",
+     "Name of the atlas (default: made from the task and voxels, such as walk-10).", "name"},
     {CONTROLLER},
     {PHYSICS},
     {"wait", 'w', NULL, "Wait until it is built, and print its name."},
@@ -78,43 +79,43 @@ static const struct option_spec atlas_build_options[] = {
 #define ATLAS_COMMANDS \
   {"atlas build", "", "Score all bodies of at most N voxels, as one file.", run_atlas_build, \
    "There are 1,057,222 bodies of at most 10 voxels. The build is a job of the server, which " \
-   "continues without morphoctl, and after a crash; job pause, resume and cancel control it. " \
+   "continues without morphoctl and after a crash; job pause, resume and cancel control it. " \
    "Without --wait, prints the id of the job.", \
    atlas_build_options}, \
   {"atlas list", "", "List the atlases of the server.", run_atlas_list}, \
   {"atlas show", "NAME", "Show an atlas, with the best body of each size.", run_atlas_show}, \
-  {"atlas body", "NAME [DESIGN]", "Show where a body stands among all.", run_atlas_body, \
-   "Its score, rank and percentile, and the best bodies that one step makes of it. DESIGN is one " \
-   "design, as those of eval.", \
+  {"atlas body", "NAME [DESIGN]", "Show how a body ranks among all.", run_atlas_body, \
+   "Its score, rank and percentile, and the best bodies one step away. DESIGN is one design, " \
+   "given as for eval.", \
    atlas_body_options}, \
-  {"atlas neighbors", "NAME [DESIGN]", "List the bodies that one step makes of a body.", \
-   run_atlas_neighbors, "The best first.", atlas_steps_options}, \
+  {"atlas neighbors", "NAME [DESIGN]", "List the bodies one step away from a body.", \
+   run_atlas_neighbors, "Best first.", atlas_steps_options}, \
   {"atlas ascent", "NAME [DESIGN]", "Follow the best changes to a local optimum.", \
    run_atlas_ascent, NULL, atlas_steps_options}, \
   {"atlas similar", "NAME [DESIGN]", "List bodies that differ by one or two voxels.", \
-   run_atlas_similar, "Steps of adding and removing a voxel; the best first.", \
+   run_atlas_similar, "Each step adds or removes a voxel; best first.", \
    atlas_similar_options}, \
   {"atlas best", "NAME", "List the best bodies.", run_atlas_best, \
-   "Of all sizes or of one; with --lo and --hi, those of a range of scores. With --measure, the " \
+   "Of all sizes or of one; with --lo and --hi, those in a range of scores. With --measure, the " \
    "bodies with the highest values.", \
    atlas_best_options}, \
   {"atlas optima", "NAME", "List the local optima with the largest basins.", run_atlas_optima, \
    "The basin of an optimum is the number of bodies whose steepest ascent by adding and removing " \
-   "voxels ends at it. The first time takes some seconds.", \
+   "voxels ends at it. The first call takes a few seconds.", \
    atlas_optima_options}, \
   {"atlas histogram", "NAME", "Show the distribution of the scores or of a measure.", \
    run_atlas_histogram, NULL, \
    atlas_histogram_options}, \
   {"atlas map", "NAME MEASURE", "Show the scores and a measure of all bodies.", run_atlas_map, \
-   "A map of both, the score downward, the measure to the right, and their rank correlation " \
-   "(Kendall's tau-b).", \
+   "A map of both, with the score downward and the measure to the right, and their rank " \
+   "correlation (Kendall's tau-b).", \
    atlas_map_options}, \
   {"atlas compare", "A B", "Compare the scores of the same bodies in two atlases.", \
    run_atlas_compare, \
-   "Kendall's rank correlation (tau-b) over all bodies in both, and a map of both scores: that " \
-   "of A downward, that of B to the right.", \
+   "Kendall's rank correlation (tau-b) over all bodies in both, and a map of both scores, " \
+   "with A downward and B to the right.", \
    atlas_compare_options}, \
-  {"atlas download", "NAME", "Fetch the file of an atlas.", run_atlas_download, \
+  {"atlas download", "NAME", "Download an atlas file.", run_atlas_download, \
    "The Python package reads it without a server.", atlas_download_options}, \
   {"atlas upload", "NAME FILE", "Store a file as an atlas.", run_atlas_upload, \
    "The server checks all of it first. An atlas with this name is replaced. - is standard " \

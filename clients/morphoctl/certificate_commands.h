@@ -10,13 +10,13 @@
 static const struct option_spec certify_options[] = {
     {"campaign", 0, "ID",
      "The best designs of this campaign's newest population, with its environments, its physics "
-     "and its resulting "
-     "controller (without one, that it started with) unless others are given."},
+     "and its resulting controller (or, without one, the controller it started with) unless others "
+     "are given."},
     {"evaluation", 0, "ID",
      "The best designs of this evaluation, with its environments, its physics and its controller "
      "unless others are given."},
     {"best", 'n', "N",
-     "With --campaign or --evaluation: number of the best designs, 1 to 256 (default: 20)."},
+     "With --campaign or --evaluation: number of best designs, 1 to 256 (default: 20)."},
     RULES(""),
     {CONTROLLER},
     {TASK},
@@ -26,7 +26,7 @@ static const struct option_spec certify_options[] = {
      "What to change, separated by commas (default: all): precision, step, held_out, chance, "
      "stiffness, mass, drag, gravity, actuation, friction, drop, worlds.",
      "axes", FIELD_WORDS},
-    {"seed", 0, "SEED", "Seed of the worlds and constants that are drawn (default: 1).", "seed",
+    {"seed", 0, "SEED", "Seed of the worlds and constants drawn (default: 1).", "seed",
      FIELD_WHOLE},
     {"held-out", 0, "N", "Number of worlds of the axis held_out, 2 to 1024 (default: 256).",
      "held_out", FIELD_WHOLE},
@@ -43,8 +43,8 @@ static const struct option_spec certify_options[] = {
      "stiffness, mass, drag, gravity, actuation or friction; can be repeated.",
      "ranges", FIELD_RANGES},
     {"top", 0, "N",
-     "The regret is about choosing the N best designs (default: a tenth of them, at least 1).",
-     "top", FIELD_WHOLE},
+     "Number of best designs that the regret is for (default: a tenth of them, at least 1).", "top",
+     FIELD_WHOLE},
     {"wait", 'w', NULL, "Wait until it is complete, and print its report."},
     {AS_CSV},
     {WEIGHT},
@@ -61,16 +61,16 @@ static const struct option_spec certificate_list_options[] = {
 #define CERTIFICATE_COMMANDS \
   {"certify", "[DESIGN]...", "Measure how much the scores of designs depend on the simulation.", \
    run_certify, \
-   "Scores up to 256 designs, given as for eval or the best of a campaign or an evaluation, and " \
-   "again with finer time steps, in fresh worlds, and with other constants of the physics. The " \
-   "certificate is a job of the server, which continues without morphoctl, and after a crash. " \
-   "Without --wait, prints its id, for certificate.", \
+   "Scores up to 256 designs, given as for eval or taken as the best of a campaign or " \
+   "evaluation, and scores them again with finer time steps, in fresh worlds, and with other " \
+   "constants of the physics. The certificate is a job of the server, which continues without " \
+   "morphoctl and after a crash. Without --wait, prints its id, for certificate.", \
    certify_options}, \
   {"certificate list", "", "List certificates, newest first.", run_list, NULL, \
    certificate_list_options}, \
   {"certificate", "ID", "Show the report of a certificate.", run_certificate, \
-   "docs/trust.md explains it. While the job runs, of the levels that are complete; exit status " \
-   "3 if there are none.", \
+   "docs/trust.md explains it. While the job runs, the report covers the completed levels; " \
+   "exit status 3 if there are none.", \
    certificate_options}
 /* clang-format on */
 

@@ -73,7 +73,7 @@ void run_atlas_download(struct ctl *ctl)
   const char *output = option_text(ctl, "output", NULL);
   if (output == NULL)
     output = keep(format_text("%s.atlas", ctl->operands[0]));
-  download(ctl, atlas_path(ctl, "/file"), ATLAS_TYPE, output, "an atlas is");
+  download(ctl, atlas_path(ctl, "/file"), ATLAS_TYPE, output, "an atlas");
 }
 
 void run_atlas_upload(struct ctl *ctl)
@@ -96,7 +96,7 @@ void run_atlas_upload(struct ctl *ctl)
 void run_atlas_delete(struct ctl *ctl)
 {
   act(ctl, (struct request){.method = "DELETE", .path = atlas_path(ctl, "")},
-      path_to("the atlas %s is gone", ctl->operands[0]));
+      path_to("atlas %s is deleted", ctl->operands[0]));
 }
 
 /* ---- distributions ---- */
@@ -142,7 +142,7 @@ static void print_histogram(const struct ctl *ctl, const json_t *histogram)
     outside += json_integer_value(row);
   }
   if (outside > 0)
-    printf("%31s  in no bin, or diverged\n", count_text(outside, text));
+    printf("%31s  outside all bins, or diverged\n", count_text(outside, text));
 }
 
 void run_atlas_histogram(struct ctl *ctl)

@@ -135,7 +135,7 @@ static void print_optima(const struct ctl *ctl, const json_t *reply)
 {
   print_list(ctl, reply, ">basin={basin:,}|" BODY_COLUMNS);
   if (!ctl->quiet)
-    print_from(stderr, reply, "{optima:,} local optima in all");
+    print_from(stderr, reply, "{optima:,} local optima in total");
 }
 
 void run_atlas_optima(struct ctl *ctl)

@@ -28,6 +28,6 @@ void run_atlas_build(struct ctl *ctl)
                  "rollouts");
   } else if (!ctl->json && !ctl->quiet) {
     print_from(stderr, job,
-               "job {id} is accepted: it builds the atlas {atlas.name}; morphoctl watch {id}");
+               "job {id} accepted; it builds the atlas {atlas.name}: morphoctl watch {id}");
   }
 }

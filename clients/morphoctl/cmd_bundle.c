@@ -29,7 +29,7 @@ void run_bundle_export(struct ctl *ctl)
     fail(STATUS_USAGE, "give campaign ids, --label, --experiment or "
                        "--group");
   if (ways > 1)
-    fail(STATUS_USAGE, "give either ids, --label, --experiment or --group");
+    fail(STATUS_USAGE, "give only one of ids, --label, --experiment and --group");
   save_reply(ctl, path, BUNDLE_TYPE, ctl->operands[0]);
 }
 
@@ -69,7 +69,7 @@ static void recompute(struct ctl *ctl, const char *id, int64_t n)
   int64_t agree = 0, differ = 0, unknown = 0;
   size_t i;
   if (request == NULL) {
-    print_plain_line(stderr, "campaign %s learns: its scores cannot be recomputed", id);
+    print_plain_line(stderr, "campaign %s learns, so its scores cannot be recomputed", id);
     return;
   }
   const json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, true);
@@ -158,7 +158,7 @@ static const char *form_of(const char *output)
   if (end != NULL)
     fail(STATUS_USAGE,
          "--output: %s is not a known suffix: .csv, .ndjson, .jsonl or .nwk; "
-         "for another name give --format",
+         "for other names, give --format",
          end);
   return "csv";
 }
@@ -179,7 +179,7 @@ void run_export(struct ctl *ctl)
          list);
   for (const char *c = list; *c != '\0'; c++)
     if (*c <= ' ' || *c > '~' || *c == '#')
-      fail(STATUS_USAGE, "\"%s\" is not a list: escape special characters, such as a blank as %%20",
+      fail(STATUS_USAGE, "\"%s\" is not a list: escape special characters, such as a space as %%20",
            list);
   const char between = strchr(list, '?') != NULL ? '&' : '?';
   save_reply(ctl, path_to("/v1/%s%cformat=%s", list, between, form), "*/*", output);

@@ -28,8 +28,7 @@ static void fill_initial(struct ctl *ctl, json_t *request)
 {
   const char *from = option_text(ctl, "from", NULL);
   if (from != NULL && ctl->n_operands > 1)
-    fail(STATUS_USAGE,
-         "an initial population comes from designs or --from a campaign: give one of the two");
+    fail(STATUS_USAGE, "give either initial designs or --from, not both");
   if (from != NULL)
     json_object_set_new(request, "initial", json_pack("{s:s}", "campaign", job_id(from)));
   if (ctl->n_operands > 1)
@@ -66,7 +65,7 @@ static void fill_aggregate(const struct ctl *ctl, json_t *request)
   if (aggregate == NULL ||
       (colon != NULL && (colon[1] == '\0' || *end != '\0' || !isfinite(number))))
     fail(STATUS_USAGE,
-         "--aggregate: \"%s\" is not a kind, or a kind and a number, e.g. cvar:0.9 or mean-sd:1",
+         "--aggregate: \"%s\" is not a kind, optionally with a number, e.g. cvar:0.9 or mean-sd:1",
          text);
   if (colon != NULL)
     json_object_set_new(aggregate,
@@ -89,7 +88,7 @@ static void fill_re_evaluate(const struct ctl *ctl, json_t *request)
     environments = strtoll(end + 1, &end, 10);
   if (every < 1 || (has_worlds && environments < 1) || *end != '\0')
     fail(STATUS_USAGE,
-         "--re-evaluate: \"%s\" is not a number of generations, or one and a number of "
+         "--re-evaluate: \"%s\" is not a number of generations, optionally with a number of "
          "environments, e.g. 10 or 10:64",
          text);
   json_t *value = need(json_pack("{s:I}", "every", (json_int_t)every));
@@ -127,7 +126,7 @@ void run_campaign_extend(struct ctl *ctl)
   char *end;
   long long generations = strtoll(more, &end, 10);
   if (*more == 0 || *end != 0 || generations < 1 || generations > 1000000)
-    fail(STATUS_USAGE, "\"%s\" is not a number of further generations", more);
+    fail(STATUS_USAGE, "\"%s\" is not a number of additional generations", more);
   const json_t *request = keep(json_pack("{sI}", "generations", (json_int_t)generations));
   tell(ctl, post_job(ctl, path_to("/v1/campaigns/%s/extend", id), request, 0),
        "campaign {id} is {state}, to generation {progress.generations}");
@@ -171,10 +170,10 @@ void run_campaign_champions(struct ctl *ctl)
   const int64_t count = option_number(ctl, "count", 1, 1000, 12),
                 generation = option_number(ctl, "generation", 0, 1000000, -1);
   if (!records && (option_is_set(ctl, "record-stride") || option_is_set(ctl, "record")))
-    fail(STATUS_USAGE, "--record and --record-stride are for --output and --film");
+    fail(STATUS_USAGE, "--record and --record-stride need --output or --film");
   if (records && generation >= 0)
-    fail(STATUS_USAGE, "--output and --film record the newest generation, so they go "
-                       "without --generation");
+    fail(STATUS_USAGE, "--output and --film record the newest generation, so they cannot be "
+                       "combined with --generation");
   film_check(ctl);
   const json_t *champions =
       get_json(ctl, "/v1/campaigns/%s/champions?count=%" PRId64 "%s", id, count,
@@ -227,7 +226,7 @@ static void name_left_out(struct ctl *ctl, const char *id)
   const json_t *page = get_json(ctl, "/v1/campaigns/%s/replicates?limit=1", id), *one;
   size_t i;
   json_array_foreach(json_object_get(page, "left_out"), i, one) print_from(
-      stderr, one, "campaign {id} is left out: it has [{state=failed}failed|been {state}]");
+      stderr, one, "campaign {id} is left out because it [{state=failed}failed|was {state}]");
 }
 
 void run_campaign_export(struct ctl *ctl)

@@ -209,10 +209,10 @@ static void print_comparison(const struct ctl *ctl, const struct side *sides, si
   for (size_t i = 0; i < n; i++) {
     const json_t *one;
     size_t k;
-    json_array_foreach(json_object_get(sides[i].json, "left_out"), k, one) print_fact(
-        ctl, "left out", "campaign %s, a replicate of %s: it was %s early", text_of(one, "id"),
-        text_of(sides[i].json, "campaign"),
-        strcmp(text_of(one, "state"), "failed") == 0 ? "ended by a failure" : "cancelled");
+    json_array_foreach(json_object_get(sides[i].json, "left_out"), k, one)
+        print_fact(ctl, "left out", "campaign %s, a replicate of %s: it %s early",
+                   text_of(one, "id"), text_of(sides[i].json, "campaign"),
+                   strcmp(text_of(one, "state"), "failed") == 0 ? "failed" : "was cancelled");
   }
   for (size_t i = 1; i < n; i++)
     print_setting_differences(ctl,

@@ -70,7 +70,7 @@ static const char *classes_of(const json_t *report)
 static void print_report(const struct ctl *ctl, const json_t *report)
 {
   static const struct fact facts[] = {
-      {"certificate", "{id}[{complete=false}, not complete: of the levels so far]"},
+      {"certificate", "{id}[{complete=false}, incomplete: only the levels so far]"},
       {"controller", CONTROLLER_WORDS("controller", "")},
       {"environments", "[{environments}|{environments.count} of the request]"},
       {"physics", "{physics.n_steps} steps of {physics.dt_s:g} s, integrator {physics.integrator}"},
@@ -187,11 +187,10 @@ void run_certify(struct ctl *ctl)
     else
       print_from(stdout, job, "{id}");
     if (speaks)
-      print_from(
-          stderr, job,
-          "certificate {id} is accepted: {certificate.designs} design{certificate.designs:s}, "
-          "{certificate.trials} trial{certificate.trials:s}, {certificate.rollouts:,} "
-          "rollouts; morphoctl watch {id}");
+      print_from(stderr, job,
+                 "certificate {id} accepted: {certificate.designs} design{certificate.designs:s}, "
+                 "{certificate.trials} trial{certificate.trials:s}, {certificate.rollouts:,} "
+                 "rollouts; morphoctl watch {id}");
     complain_of_warnings("job", job);
     return;
   }

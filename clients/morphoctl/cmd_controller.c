@@ -44,7 +44,7 @@ void run_controller_get(struct ctl *ctl)
 {
   const char *output = option_text(ctl, "output", NULL);
   if (output != NULL && strcmp(output, "-") == 0 && isatty(STDOUT_FILENO))
-    fail(STATUS_USAGE, "a controller is not written to a terminal: give --output FILE");
+    fail(STATUS_USAGE, "a controller cannot be written to a terminal: give --output FILE");
   save_reply(ctl, controller_path(ctl, "/file"), "application/octet-stream",
              output != NULL ? output : path_to("%s.safetensors", ctl->operands[0]));
 }

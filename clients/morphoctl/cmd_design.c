@@ -56,7 +56,8 @@ void run_design_show(struct ctl *ctl)
 {
   const char *id = ctl->operands[0];
   if (!is_robot(id, strlen(id)))
-    fail(STATUS_USAGE, "\"%.60s\" is not an id: 36 hexadecimal digits, perhaps with @0 to @7", id);
+    fail(STATUS_USAGE,
+         "\"%.60s\" is not an id: 36 hexadecimal digits, optionally followed by @0 to @7", id);
   show(ctl, path_to("/v1/designs/%s", id), print_design);
 }
 

@@ -144,9 +144,8 @@ void run_eval(struct ctl *ctl)
       print_from(stdout, evaluation, "{id}");
     if (speaks)
       print_from(stderr, evaluation,
-                 "evaluation {id} is accepted: {n_designs} design{n_designs:s}, {rollouts_total} "
-                 "rollout{rollouts_total:s}; "
-                 "morphoctl watch {id}");
+                 "evaluation {id} accepted: {n_designs} design{n_designs:s}, {rollouts_total} "
+                 "rollout{rollouts_total:s}; morphoctl watch {id}");
     complain_of_warnings("job", evaluation);
     return;
   }
@@ -159,8 +158,8 @@ void run_eval(struct ctl *ctl)
   if (speaks)
     print_from(
         stderr, evaluation,
-        "evaluation {id}: {rollouts_total:,} rollout{rollouts_total:s}, {rollouts_cached:,} of "
-        "them from the store[, {rollouts_cut>0:,} not needed]");
+        "evaluation {id}: {rollouts_total:,} rollout{rollouts_total:s}, {rollouts_cached:,} from "
+        "the store[, {rollouts_cut>0:,} not needed]");
   expect_success("job", evaluation);
   if (output != NULL)
     save_trajectories(ctl, evaluation, output);
@@ -178,14 +177,14 @@ static void add_evaluation(struct ctl *ctl, struct designs *designs, json_t *req
   expect_success("job", evaluation);
   if (json_object_get(evaluation, "tolerance") != NULL)
     fail(STATUS_USAGE,
-         "evaluation %s has a tolerance, so its scores have different settings; verify each design "
-         "with the step and precision that its result names: verify ROBOT -p dt_s=… --precision …",
+         "evaluation %s has a tolerance, so its scores have different settings; verify each "
+         "design with the step and precision in its result: verify ROBOT -p dt_s=… --precision …",
          id);
   if (json_object_get(evaluation, "results") == NULL)
     fail(STATUS_USAGE,
          "evaluation %s is too long for one reply; verify some of its designs: verify ROBOT…", id);
   if (!named && !option_is_set(ctl, "environments"))
-    fail(STATUS_USAGE, "evaluation %s has custom environments: give them again with --environments",
+    fail(STATUS_USAGE, "evaluation %s has custom environments; give them again with --environments",
          id);
   designs_add_genotypes(designs, json_object_get(evaluation, "results"));
   json_object_set_new(

@@ -46,8 +46,8 @@ static void choose_environment(struct ctl *ctl, json_t *request)
 {
   const json_t *listed = json_object_get(request, "environments");
   if (json_is_object(listed))
-    fail(STATUS_USAGE, "film needs a set or a list of environments; evaluate in the varied ones, "
-                       "and film that evaluation");
+    fail(STATUS_USAGE, "film needs a set or a list of environments; to film varied ones, run an "
+                       "evaluation and film it");
   if (!json_is_array(listed)) {
     const char *set = escape(listed != NULL ? json_string_value(listed) : "paper-test");
     listed = json_object_get(get_json(ctl, "/v1/environment-sets/%s", set), "items");
@@ -350,7 +350,7 @@ void film_check(struct ctl *ctl)
   struct film film;
   for (size_t i = 0; i < sizeof(looks) / sizeof(looks[0]); i++)
     if (output == NULL && option_is_set(ctl, looks[i]))
-      fail(STATUS_USAGE, "--%s is for --film", looks[i]);
+      fail(STATUS_USAGE, "--%s needs --film", looks[i]);
   if (output == NULL)
     return;
   if (output[0] == '\0' || strcmp(output, "-") == 0)

@@ -134,9 +134,10 @@ static void upgrade(struct ctl *ctl, const json_t *worker, const char *wanted, i
   reply_free(&reply);
   const char *version = await_return(ctl, before, worker, within_s);
   if (strcmp(version, old) == 0)
-    fail(STATUS_NEGATIVE, "%s is back with version %s: install %s there first", name, old, wanted);
+    fail(STATUS_NEGATIVE, "%s is back with the old version %s: install %s there first", name, old,
+         wanted);
   if (!ctl->quiet && !ctl->json)
-    print_plain_line(stdout, "%s has left, and is %s%s", name,
+    print_plain_line(stdout, "%s has left and is %s%s", name,
                      *version != '\0' ? "back with version " : "not back", version);
   fflush(stdout);
 }
@@ -161,7 +162,7 @@ static void upgrade_all(struct ctl *ctl)
     n++;
   }
   if (n == 0 && !ctl->quiet && !ctl->json)
-    print_plain_line(stdout, "no worker is of %s version", *version != '\0' ? "that" : "an older");
+    print_plain_line(stdout, "no worker has %s version", *version != '\0' ? "that" : "an older");
 }
 
 void run_fleet_drain(struct ctl *ctl)

@@ -109,7 +109,7 @@ void run_job_change(struct ctl *ctl)
 {
   const char *verb = keep(format_text("/%s", strchr(ctl->command->name, ' ') + 1));
   each_job(ctl, (struct request){.method = "POST"}, "job", verb, " is {state}",
-           " is {state}, its running work is being stopped");
+           " is {state}; its running work is being stopped");
 }
 
 void run_job_prune(struct ctl *ctl)
@@ -138,7 +138,7 @@ void run_job_weight(struct ctl *ctl)
     fail(STATUS_USAGE, "\"%s\" is not a number", words);
   const json_t *request = keep(json_pack("{s:f}", "weight", weight));
   tell(ctl, post_again(ctl, path_to("/v1/jobs/%s/weight", id), request),
-       "job {id} has the weight {weight:g}");
+       "job {id} now has weight {weight:g}");
 }
 
 /* ---- labels, notes, archive ---- */
@@ -157,7 +157,7 @@ void run_job_text(struct ctl *ctl)
              *text = ctl->n_operands > 1 ? ctl->operands[1] : NULL;
   const bool removes = option_is_set(ctl, "remove");
   if (removes && text != NULL)
-    fail(STATUS_USAGE, "--remove deletes the %s; give no TEXT with it", member);
+    fail(STATUS_USAGE, "--remove deletes the %s; do not give TEXT with it", member);
   ctl->n_operands = 1;
   const char *words =
       keep(format_text("[ has the %s \"{%s}\"| has no %s]", member, member, member));
@@ -172,7 +172,7 @@ void run_job_archive(struct ctl *ctl)
 {
   const bool archives = strcmp(ctl->command->name, "job archive") == 0;
   edit_jobs(ctl, json_pack("{s:b}", "archived", archives),
-            archives ? " is archived" : " is back in lists");
+            archives ? " is archived" : " is shown in lists again");
 }
 
 static bool asks(struct ctl *ctl)

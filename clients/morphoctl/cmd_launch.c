@@ -81,7 +81,7 @@ void run_fleet_launch(struct ctl *ctl)
   option_number(ctl, "cpus", 1, 1024, 0);
   for (const struct filling *filling = fillings; filling < fillings + N_FILLINGS; filling++)
     if (!is_safe(value_of(ctl, filling, engine)))
-      fail(STATUS_USAGE, "--%s must not contain blanks, quotes or backslashes", filling->option);
+      fail(STATUS_USAGE, "--%s must not contain spaces, quotes or backslashes", filling->option);
   const char *text = (const char *)launch_files[engine].bytes;
   for (size_t length; *text != 0; text += length + 1) {
     length = strcspn(text, "\n");

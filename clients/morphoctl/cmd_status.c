@@ -75,7 +75,7 @@ void run_devices(struct ctl *ctl)
 {
   const json_t *page = get_json(ctl, "/v1/devices"), *devices = json_object_get(page, "items");
   if (!ctl->json && json_array_size(devices) == 0)
-    print_plain_line(stdout, "no devices: the processors compute");
+    print_plain_line(stdout, "no devices: rollouts run on the CPU");
   else
     print_items(ctl, page,
                 ">#={index}|name={name}|state={state}|>load={load:.0%}|>free GiB={free_bytes:GiB}"

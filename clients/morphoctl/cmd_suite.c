@@ -79,13 +79,12 @@ static void print_suite(struct ctl *ctl, const json_t *evaluation)
             n - fewest, n);
   if (ctl->quiet)
     return;
-  fprintf(stderr, "photo, damage: 1 - d/d0; photo-auc: 1 - mean d/d0; up: meters climbed; the "
-                  "others: meters traveled. Larger is better; a robot that stands still gets 0. "
-                  "Mean loss over the tasks: smaller is better; standing still gives 1.\n");
-  print_from(
-      stderr, evaluation,
-      "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them from the store; "
-      "morphoctl suite picture {id} draws it");
+  fprintf(stderr, "photo, damage: 1 - d/d0; photo-auc: 1 - mean d/d0; up: meters climbed; "
+                  "others: meters traveled. Higher is better; a robot that stands still gets 0. "
+                  "Mean loss over the tasks: lower is better; standing still gives 1.\n");
+  print_from(stderr, evaluation,
+             "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} from the store; "
+             "morphoctl suite picture {id} draws it");
 }
 
 /* ---- suite run ---- */
@@ -142,7 +141,7 @@ void run_suite(struct ctl *ctl)
     print_from(stdout, evaluation, "{id}");
   if (!ctl->json && !ctl->quiet)
     print_from(stderr, evaluation,
-               "evaluation {id} is accepted: {n_designs} design{n_designs:s}, {rollouts_total} "
+               "evaluation {id} accepted: {n_designs} design{n_designs:s}, {rollouts_total} "
                "rollouts; morphoctl watch {id}; then morphoctl suite show {id}");
 }
 
@@ -152,7 +151,7 @@ void run_suite_show(struct ctl *ctl)
 {
   const json_t *evaluation = get_json(ctl, "/v1/evaluations/%s", job_id(ctl->operands[0]));
   if (json_object_get(evaluation, "suite") == NULL)
-    fail(STATUS_USAGE, "evaluation %s is not in a suite; morphoctl job show %s shows it",
+    fail(STATUS_USAGE, "evaluation %s is not in a suite; use morphoctl job show %s",
          ctl->operands[0], ctl->operands[0]);
   expect_success("job", evaluation);
   print_suite(ctl, evaluation);

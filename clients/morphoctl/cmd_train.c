@@ -51,7 +51,7 @@ static void fill_designs(struct ctl *ctl, bool finetune, json_t *request)
     fail(STATUS_USAGE, "finetune learns on designs (files, --random N), on a --population, or on "
                        "bodies of an --atlas: give one of the three");
   if (best > 0 && population == NULL)
-    fail(STATUS_USAGE, "--best is for --population");
+    fail(STATUS_USAGE, "--best needs --population");
   if (population != NULL) {
     json_t *object = name_population(ctl, population);
     json_object_set_new(request, "population", object);
@@ -103,7 +103,7 @@ static void export_controller(struct ctl *ctl, const char *id)
   const char *output = option_text(ctl, "output", NULL);
   const int64_t step = option_number(ctl, "step", 1, 1000000, 0);
   if (output != NULL && strcmp(output, "-") == 0 && isatty(STDOUT_FILENO))
-    fail(STATUS_USAGE, "a controller is not written to a terminal: give --output FILE");
+    fail(STATUS_USAGE, "a controller cannot be written to a terminal: give --output FILE");
   const char *path =
       path_to("/v1/trainings/%s/controller%s", id, step > 0 ? path_to("?step=%" PRId64, step) : "");
   struct reply reply;

@@ -83,13 +83,12 @@ static void print_trainings(const struct ctl *ctl, const struct side sides[2],
                   worlds = number_of(sides[s].recipe, "environments");
     if (sides[s].recipe == NULL)
       print_fact(ctl, "not known",
-                 "how %s was trained: its file does not say, so settings of the "
-                 "trainings are not compared",
+                 "how %s was trained: its file does not say, so training settings are not compared",
                  sides[s].name);
     if (tasks > 0 || worlds > 0)
       print_fact(ctl, "note",
-                 "%s learned in %" PRId64 " %s of its own; here robots reach lights that stand "
-                 "still. To score its own: morphoctl eval --environments … -c %s",
+                 "%s learned in %" PRId64 " %s of its own; here robots reach stationary lights. "
+                 "To score its own: morphoctl eval --environments … -c %s",
                  sides[s].name, tasks > 0 ? tasks : worlds, tasks > 0 ? "tasks" : "environments",
                  sides[s].name);
   }
@@ -178,8 +177,8 @@ static void print_verdict(const struct side sides[2], const struct paired *paire
              2 * paired->improved > paired->n - paired->equal ? "better" : "worse") != 0)
     print_plain_line(
         stdout,
-        "However, most designs are better with %s (sign test, p = %.2g): the mean counts how "
-        "much, the sign test how many.",
+        "However, most designs are better with %s (sign test, p = %.2g): the mean weighs how much "
+        "they differ, the sign test how many.",
         2 * paired->improved > paired->n - paired->equal ? b : a, paired->sign_p);
 }
 

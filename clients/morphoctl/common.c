@@ -46,7 +46,7 @@ const char *job_id(const char *text)
 {
   size_t length = strlen(text);
   if (length == 0 || length > 18 || strspn(text, "0123456789") != length || *text == '0')
-    fail(STATUS_USAGE, "\"%s\" is not the id of a job: a positive whole number", text);
+    fail(STATUS_USAGE, "\"%s\" is not a job id; expected a positive whole number", text);
   return text;
 }
 

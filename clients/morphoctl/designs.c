@@ -14,7 +14,7 @@
 
 /* Ends a message about something that is not a design. */
 #define OTHER_PROGRAMS                                                                             \
-  "; morphod.read_bodies of the Python package reads files of EvoGym, voxcraft and NumPy"
+  "; morphod.read_bodies in the Python package reads EvoGym, voxcraft and NumPy files"
 
 char *read_input(const char *path, size_t limit, size_t *length)
 {
@@ -170,16 +170,17 @@ static void add_json(struct designs *designs, const char *source, size_t line, j
     const char *text = json_string_value(json);
     size_t length = json_string_length(json);
     if (!is_robot(text, length) && !is_voxels(text, length))
-      fail(STATUS_USAGE, "%s:%zu: a text is 144 digits 0 and 1, or an id, perhaps with @0 to @7",
-           source, line);
+      fail(STATUS_USAGE,
+           "%s:%zu: a text must be 144 digits 0 or 1, or an id, optionally with @0 to @7", source,
+           line);
     add(designs, json_pack("{s:s}", is_robot(text, length) ? "id" : "voxels", text), NULL);
     return;
   }
   if (json_is_array(json) && json_array_size(json) > 0 && is_point(json_array_get(json, 0))) {
     if (can_be_robot(json))
       fail(STATUS_USAGE,
-           "%s:%zu: this list can be cells [x, y, z] or rows of EvoGym: write {\"cells\": [...]} "
-           "for cells; Body.evogym of the Python package reads rows",
+           "%s:%zu: this list could be cells [x, y, z] or EvoGym rows: write {\"cells\": [...]} "
+           "for cells; Body.evogym in the Python package reads rows",
            source, line);
     add(designs, json_pack("{s:O}", "cells", json), NULL);
     return;
@@ -194,7 +195,7 @@ static void add_json(struct designs *designs, const char *source, size_t line, j
     return;
   }
   if (!json_is_object(json))
-    fail(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id" OTHER_PROGRAMS,
+    fail(STATUS_USAGE, "%s:%zu: a design must be an object with cells, voxels or id" OTHER_PROGRAMS,
          source, line);
   json_t *many = json_object_get(json, "designs");
   if (many != NULL && depth == 0) {
@@ -212,12 +213,13 @@ static void add_json(struct designs *designs, const char *source, size_t line, j
       continue;
     if (mo_word_index(forms, key) < 0)
       fail(STATUS_USAGE,
-           "%s:%zu: a design has cells, voxels or id, perhaps a name, but no \"%s\"%s", source,
+           "%s:%zu: a design has cells, voxels or id, optionally a name, but no \"%s\"%s", source,
            line, key, did_you_mean("", key, forms, 3, sizeof(*forms)));
     json_object_set(design, key, value);
   }
   if (json_object_size(design) != 1)
-    fail(STATUS_USAGE, "%s:%zu: a design has one of cells, voxels and id", source, line);
+    fail(STATUS_USAGE, "%s:%zu: a design must have exactly one of cells, voxels and id", source,
+         line);
   add(designs, json_incref(design), json_string_value(json_object_get(json, "name")));
 }
 
@@ -259,11 +261,11 @@ void designs_add_text(struct designs *designs, const char *source, const char *t
       else if (is_voxels(text + i, n))
         add(designs, json_pack("{s:s%}", "voxels", text + i, n), NULL);
       else if (n == strspn(text + i, "01") && n > ID_DIGITS)
-        fail(STATUS_USAGE, "%s:%zu: %zu digits; voxels are 144", source, line, n);
+        fail(STATUS_USAGE, "%s:%zu: got %zu digits; voxels must have 144", source, line, n);
       else
         fail(STATUS_USAGE,
-             "%s:%zu: \"%.*s%s\" is not a design: JSON, 144 digits 0 and 1, or an id of 36 "
-             "hexadecimal digits, perhaps with an orientation, @0 to @7" OTHER_PROGRAMS,
+             "%s:%zu: \"%.*s%s\" is not a design: JSON, 144 digits 0 or 1, or an id of 36 "
+             "hexadecimal digits, optionally with an orientation, @0 to @7" OTHER_PROGRAMS,
              source, line, (int)(n < 40 ? n : 40), text + i, n < 40 ? "" : "…");
       i += n;
     }

@@ -41,7 +41,7 @@ void download(struct ctl *ctl, const char *path, const char *type, const char *o
 {
   struct saving saving = {.ctl = ctl, .path = output};
   if (strcmp(output, "-") == 0 && isatty(STDOUT_FILENO))
-    fail(STATUS_USAGE, "%s not written to a terminal: name a file, or use a pipe", what);
+    fail(STATUS_USAGE, "%s cannot be written to a terminal: name a file, or use a pipe", what);
   catch_interrupts(NULL);
   transport_download(ctl, path, type, save_piece, &saving);
   show_bytes(ctl, NULL, 0);

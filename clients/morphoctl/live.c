@@ -216,8 +216,8 @@ static void print_left_out(const json_t *job)
   }
   if (n == 0)
     return;
-  print_plain(stderr, "%zu of the initial designs %s left out; random bodies take their places. ",
-              n, n == 1 ? "is" : "are");
+  print_plain(stderr, "%zu of the initial designs %s left out; random bodies replace them. ", n,
+              n == 1 ? "is" : "are");
   print_from(stderr, first, "The first: {fault.detail}");
 }
 

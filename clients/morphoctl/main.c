@@ -25,7 +25,7 @@ static void take_line(struct ctl *ctl, const char *path, char *line, const char 
   const bool named = words[1] != NULL && words[1][0] != '#';
   const char *name = named ? words[0] : "admin", *token = named ? words[2] : words[0];
   if (token == NULL || token[0] == '#')
-    fail(STATUS_USAGE, "%s: a line is neither NAME RIGHT TOKEN nor a token", path);
+    fail(STATUS_USAGE, "%s: a line must be NAME RIGHT TOKEN or only a token", path);
   if (wanted != NULL ? strcmp(name, wanted) != 0 : first[0] != 0 && strcmp(name, first) == 0)
     return;
   if (wanted == NULL && first[0] != 0)
@@ -43,7 +43,7 @@ static void read_token(struct ctl *ctl)
   char line[TOKEN_LINE], first[TOKEN_LINE] = "";
   if (path == NULL) {
     if (wanted != NULL)
-      fail(STATUS_USAGE, "--token-name needs the file: --token-file");
+      fail(STATUS_USAGE, "--token-name needs --token-file");
     if (variable != NULL && *variable != 0)
       ctl->token = variable;
   } else {

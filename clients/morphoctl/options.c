@@ -16,7 +16,7 @@ const struct option_spec common_options[] = {
      "(default: the token in $MORPHOD_TOKEN)."},
     {"token-name", 0, "NAME", "Name of the token to use, if the file has several."},
     {"json", 'j', NULL, "Print the API's JSON instead of tables."},
-    {"quiet", 'q', NULL, "No progress and no notes."},
+    {"quiet", 'q', NULL, "Do not show progress or notes."},
     {"retry", 0, "SECONDS",
      "How long to retry a failing connection (default: 2, and 60 once the server has "
      "answered)."},
@@ -335,8 +335,8 @@ void options_parse(struct ctl *ctl, int argc, const char *const *argv)
     n = 2;
   }
   if (is_option(words[1]))
-    fail(STATUS_USAGE,
-         "%s is not an option of every command: put a command's options after its name", words[1]);
+    fail(STATUS_USAGE, "%s is not a global option: put a command's options after its name",
+         words[1]);
   ctl->command = find_command(ctl, n, words, &used);
   if (ctl->command == NULL)
     refuse_command(ctl, n, words);

@@ -185,7 +185,7 @@ static void fill_setting(json_t *physics, const char *text)
   const char *equals = strchr(text, '=');
   char key[64];
   if (equals == NULL || equals == text || (size_t)(equals - text) >= sizeof(key))
-    fail(STATUS_USAGE, "--physics: \"%s\" is neither paper nor KEY=VALUE", text);
+    fail(STATUS_USAGE, "--physics: \"%s\" must be paper or KEY=VALUE", text);
   snprintf(key, sizeof(key), "%.*s", (int)(equals - text), text);
   size_t k = 0;
   while (k < N_FIELDS && strcmp(fields[k].key, key) != 0)
@@ -212,8 +212,9 @@ void request_fill_physics(const struct ctl *ctl, json_t *request)
     else
       fill_setting(physics, ctl->given[i].value);
   if (is_paper && json_object_size(physics) > 0)
-    fail(STATUS_USAGE, "--physics paper stands for all settings; for the paper's integrator with "
-                       "others, use --physics integrator=paper and the others");
+    fail(STATUS_USAGE,
+         "--physics paper sets everything; to combine the paper's integrator with other "
+         "settings, use --physics integrator=paper and those settings");
   if (is_paper)
     json_object_set_new(request, "physics", json_string("paper"));
   else if (json_object_size(physics) > 0)
@@ -262,7 +263,7 @@ json_t *random_of(const struct ctl *ctl, const char *seed, int64_t most)
   const int64_t count = option_number(ctl, "random", 1, most, 0),
                 first = option_number(ctl, "first", 0, RANDOM_BODIES_MAX - 1, 0);
   if (count == 0 && option_is_set(ctl, "first"))
-    fail(STATUS_USAGE, "--first needs --random N, the number of bodies from there on");
+    fail(STATUS_USAGE, "--first needs --random N, the number of bodies starting there");
   if (count == 0)
     return NULL;
   json_t *random = keep(json_pack("{s:I, s:I}", "count", (json_int_t)count, "seed",

@@ -14,8 +14,8 @@ static const struct option_spec eval_options[] = {
     {PRECISION},
     RULES(""),
     {"random", 0, "N",
-     "Score N random bodies in addition to the given ones: up to 10,000, or 1,000,000 without "
-     "those."},
+     "Score N random bodies in addition to any given ones: up to 10,000, or 1,000,000 if none are "
+     "given."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
     {"first", 0, "N", "Start with this body of the seed's 1,000,000 (default: 0)."},
     {"record", 0, "LIST",
@@ -34,7 +34,7 @@ static const struct option_spec eval_options[] = {
     {"wait", 0, NULL, "Wait for the result (the default)."},
     {"no-wait", 0, NULL, "Print the id of the evaluation and do not wait."},
     {"sort", 0, "input|score", "Order of the table (default: input; with --best: score)."},
-    {"top", 0, "N", "Only the N best of the table (default with --best K: K)."},
+    {"top", 0, "N", "Show only the N best (default with --best K: K)."},
     {"best", 0, "K",
      "Compute complete scores only for the K best; the others are cut short and get lower bounds.",
      "best", FIELD_WHOLE},
@@ -43,9 +43,8 @@ static const struct option_spec eval_options[] = {
      "six "
      "times the cost), and the environments in which rounding decides."},
     {"measures", 0, "LIST",
-     "Numbers that describe the rollouts, as means in the table: all, or names separated by "
-     "commas, "
-     "such as displacement_m,air_share,work_j."},
+     "Numbers that describe the rollouts, shown as means in the table: all, or names separated by "
+     "commas, such as displacement_m,air_share,work_j."},
     {"tolerance", 0, "ERROR",
      "Choose time step and precision for each design, so that the estimated error of its score is "
      "at most ERROR, such as 0.01 (takes 6 to 186 times as many steps).",
@@ -62,21 +61,21 @@ static const struct option_spec verify_options[] = {
     {NULL}};
 static const struct option_spec design_list_options[] = {
     {"sort", 0, "id|score",
-     "id: in the order of arrival (default); score: designs with a score on the paper's test set, "
-     "best first, a row per orientation."},
+     "id: in order of arrival (default); score: designs with a score on the paper's test set, best "
+     "first, one row per orientation."},
     {"order", 0, "ascending|descending", "descending: newest or worst first."},
     {"controller", 'c', "NAME", "Controller of the scores (default: default)."},
     {"environments", 'e', "SET", "Set of environments of the scores (default: paper-test)."},
-    {"physics", 'p', "default|paper",
-     "Physics of the scores: those of requests that set none (default), or the paper's."},
+    {"physics", 'p', "default|paper", "Physics of the scores: the default, or the paper's."},
     {"limit", 'n', "N", "Maximum number (default: 100)."},
     {UNLIMITED},
     {NULL}};
 static const struct option_spec bundle_export_options[] = {
     {LABELED},
     {OF_EXPERIMENT},
-    {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
-    {"recordings", 0, NULL, "Include recordings of the designs by evaluations."},
+    {"group", 'g', "ID",
+     "Only the replicates of this group; its id is that of its first campaign."},
+    {"recordings", 0, NULL, "Include evaluations' recordings of the designs."},
     {NULL}};
 static const struct option_spec scores_export_options[] = {
     {"controller", 'c', "NAME", "Only scores of this controller."},
@@ -92,8 +91,8 @@ static const struct option_spec bundle_import_options[] = {
 static const struct option_spec export_options[] = {
     {"output", 'o', "FILE", "Output file (default: -, standard output)."},
     {"format", 'f', "csv|ndjson|newick|columns",
-     "The format (default: by the suffix of FILE: .csv, .ndjson, .jsonl or .nwk; csv for standard "
-     "output or a name without a suffix; other suffixes need --format). newick is for "
+     "The format (default: from the suffix of FILE: .csv, .ndjson, .jsonl or .nwk; csv for "
+     "standard output or a name without a suffix; other suffixes need --format). newick is for "
      "phylogenies."},
     {NULL}};
 #define WALKERS                                                                                    \
@@ -136,7 +135,7 @@ static const struct option_spec usage_options[] = {
 static const struct option_spec job_show_options[] = {
     {"results", 'r', NULL, "Also show the results."}, {NULL}};
 static const struct option_spec watch_options[] = {
-    {"after", 0, "EVENT", "Start after this event; 0: with the oldest one kept."}, {NULL}};
+    {"after", 0, "EVENT", "Start after this event; 0: with the oldest event still kept."}, {NULL}};
 static const struct option_spec wait_options[] = {
     {"run", 0, "COMMAND",
      "Then run this with sh. MORPHOD_JOBS has the ids; MORPHOD_STATE is succeeded, or the state of "
@@ -144,12 +143,11 @@ static const struct option_spec wait_options[] = {
     {NULL}};
 static const struct option_spec train_start_options[] = {
     {"preset", 0, "workstation|phototaxis|paper|robust",
-     "Source of all options you leave out: workstation, the defaults below (default); phototaxis, "
-     "as the shipped controller was pretrained; paper, as in the paper; robust, phototaxis in "
-     "worlds that vary.",
+     "Source of all options that you leave out: workstation, the defaults below (default); "
+     "phototaxis, as the shipped controller was pretrained; paper, as in the paper; robust, "
+     "phototaxis in worlds that vary.",
      "preset"},
-    {"name", 0, "NAME", "Name of the resulting controller (default: training- and the id).",
-     "name"},
+    {"name", 0, "NAME", "Name of the resulting controller (default: training-ID).", "name"},
     {"controller", 'c', "NAME",
      "Controller to start from: a name or sha256:<64 digits> (default: random weights; finetune: "
      "default).",
@@ -166,12 +164,11 @@ static const struct option_spec train_start_options[] = {
     {"count", 0, "N", "Number of bodies of the atlas, 1 to 10000."},
     {"atlas-seed", 0, "SEED", "Decides which body of each part is drawn (default: 1)."},
     {"each", 0, NULL,
-     "finetune: each design learns alone, from the same controller, and is scored before and after "
-     "(train each)."},
+     "finetune: each design learns individually, starting from the same controller, and is scored "
+     "before and after (train each)."},
     {"keep", 0, "none|all",
-     "With --each: which of the controllers the server stores, as NAME-POSITION (default: none).",
-     "keep"},
-    {"keep-best", 0, "N", "With --each: store only the controllers of the N best scores.", "best",
+     "With --each: which controllers the server stores, as NAME-POSITION (default: none).", "keep"},
+    {"keep-best", 0, "N", "With --each: store only the controllers with the N best scores.", "best",
      FIELD_WHOLE},
     {"schedule", 0, "NAME",
      "Learning rate: one-cosine (default), finetune-cosine (default of finetune), paper-pretrain, "
@@ -229,8 +226,9 @@ static const struct option_spec train_compare_options[] = {
 static const struct option_spec campaign_start_options[] = {
     {"preset", 0, "paper|workstation|demo",
      "8192, 512 (default) or 64 designs, with a suitable number of generations.", "preset"},
-    {"replicates", 'r', "N", "Start N campaigns with seeds from SEED on, 1 to 100 (default: 1).",
-     "replicates", FIELD_WHOLE},
+    {"replicates", 'r', "N",
+     "Start N campaigns with consecutive seeds from SEED, 1 to 100 (default: 1).", "replicates",
+     FIELD_WHOLE},
     {"controller", 'c', "NAME",
      "A name or sha256:<64 digits>; random: random weights (default: default; simultaneous: "
      "random).",
@@ -242,8 +240,8 @@ static const struct option_spec campaign_start_options[] = {
      "Start with the newest population of another campaign; designs that do not fit the workspace "
      "are left out and counted."},
     {"if-exists", 0, "create|return",
-     "Of a study: create another one (default), or return the one that has not ended and has "
-     "exactly this label. It must have the settings given here.",
+     "For a study: create another one (default), or return the open one with exactly "
+     "this label, which must have the settings given here.",
      "if_exists"},
     {"own-score", 0, "NAME",
      "For a study: rank the designs by a score that you send with study tell; lower is better. "
@@ -264,7 +262,7 @@ static const struct option_spec campaign_start_options[] = {
      "racing)."},
     {"re-evaluate", 0, "EVERY[:ENVIRONMENTS]",
      "Every EVERY generations, and in the last one, score the best designs again in fresh worlds "
-     "(default: 64), which select nothing: scores without luck."},
+     "(default: 64) that are not used for selection: scores without luck."},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
     {"no-exclusions", 0, NULL, "Allow bodies that the controller was pretrained on."},
     {"schedule", 0, "NAME",
@@ -282,24 +280,24 @@ static const struct option_spec campaign_start_options[] = {
     {VARY("learning.vary")},
     {PHYSICS},
     {"name", 0, "NAME",
-     "Name of the controller that a learning campaign produces (default: campaign- and the id).",
-     "name"},
+     "Name of the controller that a learning campaign produces (default: campaign-ID).", "name"},
     OF_LONG_JOBS("campaign", "campaign"),
     {NULL}};
 static const struct option_spec campaign_list_options[] = {
     {STATE("campaigns")},
     FILTERED,
     {OF_USER},
-    {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
+    {"group", 'g', "ID",
+     "Only the replicates of this group; its id is that of its first campaign."},
     {NEWEST},
     {UNLIMITED},
     {NULL}};
 static const struct option_spec campaign_champions_options[] = {
     {"count", 'n', "N", "Number of designs, 1 to 1000 (default: 12)."},
-    {"generation", 0, "G", "Of this generation (default: the newest)."},
+    {"generation", 0, "G", "From this generation (default: the newest)."},
     {"output", 'o', "FOLDER",
-     "Also run them in the campaign's environments, and save the recordings there, as NumPy "
-     "files."},
+     "Also run them in the campaign's environments, and save the recordings in this folder, as "
+     "NumPy files."},
     {"record", 0, "LIST", "What to record: com (default), masses, actuation, contacts."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
     FILM,
@@ -308,8 +306,8 @@ static const struct option_spec campaign_export_options[] = {
     {"curve", 0, "FILE",
      "Statistics of each generation as CSV; - is standard output, here and below."},
     {"population", 0, "FILE",
-     "Designs of a generation, best first, as eval and train start read them."},
-    {"generation", 0, "G", "--population: of this generation (default: the newest)."},
+     "Designs of a generation, best first, in the format that eval and train start read."},
+    {"generation", 0, "G", "With --population: this generation (default: the newest)."},
     {"phylogeny", 0, "FILE", "Every design ever born, as CSV in the ALife data standard."},
     {"newick", 0, "FILE", "The tree of first parents in Newick format."},
     {"learning", 0, "FILE", "Every step of learning as CSV."},
@@ -326,7 +324,7 @@ static const struct option_spec study_tell_options[] = {
     {"batch", 0, "N", "Number of the batch (default: the next one)."},
     {"survivors", 0, "LIST",
      "Numbers of the designs that survive, separated by commas (default: the study selects)."},
-    {"sampler", 0, "FILE", "State of the sampler, up to 16 MiB, which study sampler returns."},
+    {"sampler", 0, "FILE", "State of the sampler, up to 16 MiB, for study sampler to return."},
     RULES(""),
     {NULL}};
 static const struct option_spec study_sampler_options[] = {
@@ -335,12 +333,12 @@ static const struct option_spec controller_get_options[] = {
     {"output", 'o', "FILE", "Output file (default: NAME.safetensors; -: standard output)."},
     {NULL}};
 static const struct option_spec fleet_options[] = {
-    {"all", 'a', NULL, "Also the newest sessions that have ended."}, {NULL}};
+    {"all", 'a', NULL, "Include the newest sessions that have ended."}, {NULL}};
 
 static const struct option_spec fleet_drain_options[] = {
     {"older", 0, NULL, "All workers with an older version than the server's."},
     {"version", 0, "VERSION", "All workers with this version."},
-    {"within", 0, "SECONDS", "Seconds to wait for each (default: 60)."},
+    {"within", 0, "SECONDS", "Seconds to wait for each worker (default: 60)."},
     {NULL}};
 static const struct option_spec fleet_verify_options[] = {
     {"repair", 0, NULL, "Replace the losses and measures that differ."}, {NULL}};
@@ -372,10 +370,10 @@ static const struct option_spec suite_options[] = {
     {PRECISION},
     RULES(""),
     {"held-out", 0, NULL,
-     "The 64 held-out worlds of each task, for reports, instead of the ten to select with."},
+     "Use the 64 held-out worlds of each task, for reports, instead of the ten selection worlds."},
     {"campaign", 0, "ID",
-     "Score the champions of this campaign, with its physics and the controller that scored them "
-     "unless --controller is given."},
+     "Score the champions of this campaign, with its physics and, unless --controller is given, "
+     "the controller that scored them."},
     {"count", 'n', "N", "With --campaign: number of champions, 1 to 1000 (default: 12)."},
     {"random", 0, "N", "Score N random bodies in addition to the given ones."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
@@ -390,7 +388,7 @@ static const struct option_spec suite_options[] = {
 static const struct option_spec suite_picture_options[] = {
     {"output", 'o', "FILE", "Write it here; - is standard output (default: suite-ID.svg)."},
     {"designs", 0, "LIST",
-     "Up to 6 designs by their number, from 0, separated by commas (default: the 6 with the least "
+     "Up to 6 designs by number, from 0, separated by commas (default: the 6 with the lowest "
      "mean loss)."},
     {"theme", 0, "THEME", "light (default) or dark."},
     {"width", 0, "PIXELS",
@@ -399,22 +397,22 @@ static const struct option_spec suite_picture_options[] = {
 
 const struct command commands[] = {
     {"eval", "[DESIGN]...", "Score designs.", run_eval,
-     "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, the "
-     "robot that a table shows (ID@K: an id and an orientation, @0 to @7), or only an id, which "
-     "means its orientation with the best stored score. Files hold, in any mixture: JSON designs, "
-     "one per line or in lists ({\"cells\": [[x,y,z], ...]}, {\"voxels\": \"0100...\"}, "
-     "{\"id\": \"...\"}, each perhaps with a \"name\"), lists of cells [[x,y,z], ...], 144 digits "
-     "0 and 1, robots or ids. # begins a comment. The score is the mean over the environments of "
+     "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, a "
+     "robot as shown in tables (ID@K: an id and an orientation, @0 to @7), or only an id, which "
+     "means its orientation with the best stored score. Files contain any mixture of JSON designs, "
+     "one per line or in lists ({\"cells\": [[x,y,z], ...]}, {\"voxels\": \"0100...\"}, {\"id\": "
+     "\"...\"}, each optionally with a \"name\"), lists of cells [[x,y,z], ...], 144 digits 0 and "
+     "1, robots or ids. # begins a comment. The score is the mean over the environments of "
      "(distance to the light at the end) / (at the start): lower is better, 1 is standing still.",
      eval_options},
     {"suite run", "[DESIGN]...", "Score designs in all tasks of the suite morpho-12.", run_suite,
      "A DESIGN is as for eval. The suite is one evaluation of the service, which continues if this "
      "command or the service is interrupted; job cancel stops it. Prints the mean values in the "
-     "unit of each task, larger is better, and the mean loss over the tasks.",
+     "unit of each task (higher is better) and the mean loss over the tasks.",
      suite_options},
     {"suite show", "ID", "Show the table of an evaluation in the suite.", run_suite_show},
     {"suite picture", "ID", "Draw an evaluation in the suite as an SVG file.", run_suite_picture,
-     "An axis for each task, and a polygon for each design.", suite_picture_options},
+     "The picture has one axis per task and one polygon per design.", suite_picture_options},
     {"verify", "[DESIGN]...", "Recompute stored scores and compare the bits.", run_verify,
      "Exit status 0 if all stored losses have the same bits, 3 if some differ or nothing is "
      "stored. For an id without an orientation, every stored orientation is verified.",
@@ -425,7 +423,7 @@ const struct command commands[] = {
     {"design draw", "[DESIGN]...", "Draw designs from files, without a server.", run_design_draw},
     {"film", "[DESIGN]...", "Film up to 16 robots, without a display.", run_film,
      "Simulates them in one environment and draws what happens. --output determines the format: "
-     "film.mp4 (or another that ffmpeg makes, if it is installed), film.y4m, - for such a stream "
+     "film.mp4 (or another that ffmpeg makes, if it is installed), film.y4m, - for a y4m stream "
      "on standard output, or a folder, ending with /, for PNG files.",
      film_options},
     {"picture", "[DESIGN]...", "Draw up to 16 robots as they walk, without a display.", run_picture,
@@ -443,8 +441,8 @@ const struct command commands[] = {
      mutate_options},
     {"design cross", "[DESIGN]...", "Print children of pairs of designs, one per line.",
      run_design_made,
-     "Of the first two designs, the next two, and so on: a child has the voxels that exactly one "
-     "parent has.",
+     "Crosses the first two designs, the next two, and so on. A child has the voxels that exactly "
+     "one parent has.",
      made_options},
     {"design canonical", "[DESIGN]...", "Print ids of designs, one JSON design per line.",
      run_design_made, "Rotations about z and reflections in x and y of a body have one id.",
@@ -471,20 +469,20 @@ const struct command commands[] = {
     {"job archive", "ID...", "Hide jobs from lists.", run_job_archive, "Nothing else changes."},
     {"job restore", "ID...", "Show archived jobs in lists again.", run_job_archive},
     {"job delete", "ID...", "Permanently delete jobs that have ended.", run_job_delete,
-     "Says what will be deleted, and asks for confirmation. Designs, scores and controllers stay. "
-     "A job that another one needs is not deleted: exit status 3. Delete the first replicate of a "
+     "Shows what will be deleted, and asks for confirmation. Designs, scores and controllers stay. "
+     "A job that another job needs is not deleted: exit status 3. Delete the first replicate of a "
      "group last.",
      job_delete_options},
-    {"usage", "", "Show how much time of cores and devices jobs have used.", run_usage,
+    {"usage", "", "Show how much core and device time jobs have used.", run_usage,
      "Deleted jobs are included.", usage_options},
     {"watch", "[JOB]", "Follow a job to its end, or all events.", run_watch,
-     "With --json, one event per line. After a lost connection it continues where it stopped. Exit "
-     "status of a job: 0 if it succeeded, 3 if not.",
+     "With --json, one event per line. After a lost connection it continues where it stopped. For "
+     "a job, the exit status is 0 if it succeeded, 3 if not.",
      watch_options},
     {"wait", "JOB...", "Wait until jobs have ended.", run_wait,
      "Waits through restarts of the server. Exit status: 0 if all succeeded, 3 if one failed, was "
-     "cancelled or does not exist, 1 if the command of --run failed, 4 if the server stayed away "
-     "for an hour, or for the time in --retry. A paused job has not ended.",
+     "cancelled or does not exist, 1 if the command of --run failed, 4 if the server was "
+     "unreachable for an hour, or for the time in --retry. A paused job has not ended.",
      wait_options},
     {"train start", "pretrain|finetune [DESIGN]...", "Train a controller.", run_train_start,
      "pretrain: from random weights or a controller, on an endless stream of distinct random "
@@ -497,8 +495,8 @@ const struct command commands[] = {
     {"train show", "ID", "Show a training with its curve.", run_live_show, NULL, NULL,
      &training_kind},
     {"train watch", "ID", "Watch a training until it ends.", run_live_watch,
-     "On a terminal a live plot, otherwise a line per event; with --json the events. Ctrl-C leaves "
-     "the training running. Exit status: 0 if it succeeded, 3 if not.",
+     "Shows a live plot on a terminal, otherwise a line per event; with --json, the events. Ctrl-C "
+     "leaves the training running. Exit status: 0 if it succeeded, 3 if not.",
      NULL, &training_kind},
     {"train pause", "ID...", "Pause trainings, with a checkpoint.", run_job_change},
     {"train resume", "ID...", "Resume trainings that are paused or have failed.", run_job_change},
@@ -506,36 +504,36 @@ const struct command commands[] = {
      "Checkpoints stay: train export fetches their controllers."},
     {"train export", "ID", "Fetch a training's controller, final or so far, and its curves.",
      run_train_export, NULL, train_export_options},
-    {"train each", "ID", "Show the designs that a training finetuned alone.", run_train_each,
+    {"train each", "ID", "Show the designs that a training finetuned individually.", run_train_each,
      "For a training of train start finetune --each: the score of each design with the controller "
-     "that it started from, and with the controller that it learned; and how well the first "
+     "that it started from, and with the controller that it learned, and how well the first "
      "predicts the second (Kendall's tau-b), with 95 % confidence intervals. Lower scores are "
      "better.",
      train_each_options},
     {"train prune", "ID...", "Delete checkpoints that are not needed.", run_job_prune,
-     "For a finished training all of them, because its result is a separate controller; otherwise "
-     "all but the newest, which is needed to resume. A checkpoint takes 12.4 MB. Deleted "
+     "Deletes all checkpoints of a finished training, because its result is a separate controller; "
+     "otherwise all but the newest, which is needed to resume. A checkpoint takes 12.4 MB. Deleted "
      "checkpoints can no longer be exported.",
      train_prune_options},
     {"train compare", "A B", "Compare two controllers on held-out designs.", run_train_compare,
-     "Scores both controllers on designs and environments that no pretraining draws, and shows the "
-     "mean difference with its 95 % confidence interval (Student t), which holds for other designs "
-     "in other environments. Lower scores are better. Settings of their trainings that differ are "
-     "listed.",
+     "Scores both controllers on designs and environments that are never used for pretraining, and "
+     "shows the mean difference with its 95 % confidence interval (Student t), which holds for "
+     "other designs in other environments. Lower scores are better. Settings of their trainings "
+     "that differ are listed.",
      train_compare_options},
     {"campaign start", "zero-shot|few-shot|simultaneous|study [DESIGN]...", "Evolve a population.",
      run_campaign_start,
      "zero-shot: the controller is frozen. few-shot: it relearns in each generation. "
      "simultaneous: it learns along the way. study: children come only from study tell. DESIGNs "
-     "(as those of eval) start the initial population; random bodies fill it up. The campaign is a "
-     "job of the server, which continues without morphoctl, and after a crash.",
+     "(given as for eval) form the initial population; random bodies fill it up. The campaign is a "
+     "job of the server, which continues without morphoctl and after a crash.",
      campaign_start_options, &campaign_kind},
     {"campaign list", "", "List campaigns, newest first.", run_list, NULL, campaign_list_options},
     {"campaign show", "ID", "Show a campaign with its curves.", run_live_show, NULL, NULL,
      &campaign_kind},
     {"campaign watch", "ID", "Watch a campaign until it ends.", run_live_watch,
-     "On a terminal live curves and a table, otherwise a line per generation; with --json the "
-     "events. Ctrl-C leaves the campaign running. Exit status: 0 if it succeeded, 3 if not.",
+     "Shows live curves and a table on a terminal, otherwise a line per generation; with --json, "
+     "the events. Ctrl-C leaves the campaign running. Exit status: 0 if it succeeded, 3 if not.",
      NULL, &campaign_kind},
     {"campaign pause", "ID...", "Pause campaigns.", run_job_change},
     {"campaign resume", "ID...", "Resume campaigns that are paused or have failed.",
@@ -558,15 +556,16 @@ const struct command commands[] = {
     {"campaign export", "ID", "Fetch a campaign's curves, population and phylogeny.",
      run_campaign_export, NULL, campaign_export_options},
     {"campaign prune", "ID...", "Delete checkpoints of campaigns that have ended.", run_job_prune,
-     "12.4 MB for each that learned. Populations, phylogeny and the resulting controller stay. A "
-     "simultaneous campaign can then no longer be extended or resumed, and without a result its "
-     "champions can no longer be recorded. Nothing is deleted for a campaign that has not ended."},
+     "Frees 12.4 MB for each campaign that learned. Populations, phylogeny and the resulting "
+     "controller stay. A simultaneous campaign can then no longer be extended or resumed, and "
+     "without a result its champions can no longer be recorded. Nothing is deleted for a campaign "
+     "that has not ended."},
     ATLAS_COMMANDS,
     CERTIFICATE_COMMANDS,
     {"study ask", "ID N", "Ask a study for N bodies that it has never seen.", run_study_ask,
-     "Children of its population as JSON, one per line, which study tell reads. The same question "
-     "gets the same answer until the next batch. campaign start study makes a study; the "
-     "other campaign commands also work for studies.",
+     "Prints children of its population as JSON, one per line, for study tell. Repeating the "
+     "command gives the same bodies until the next batch. campaign start study creates a study; "
+     "the other campaign commands also work for studies.",
      study_ask_options},
     {"study tell", "ID [FILE]", "Tell a study its next batch, and print the scores.",
      run_study_tell,
@@ -576,31 +575,33 @@ const struct command commands[] = {
      "a \"score\". Sending the same batch again changes nothing.",
      study_tell_options},
     {"study sampler", "ID", "Fetch the state of a study's sampler.", run_study_sampler,
-     "It came with the newest committed batch. Exit status 3 if that batch had none.",
+     "Returns the state sent with the newest committed batch. Exit status 3 if that batch had "
+     "none.",
      study_sampler_options},
-    {"study finish", "ID", "End a study.", run_study_finish, "It then accepts no more batches."},
+    {"study finish", "ID", "End a study.", run_study_finish,
+     "It accepts no more batches after that."},
     {"export", "LIST", "Save any list, curve or phylogeny as a table.", run_export,
      "LIST is an API path after /v1/, with its parameters: jobs, designs?sort=score, "
      "campaigns/7/phylogeny, campaigns/generations?label=B (of several campaigns, in one table).",
      export_options},
     {"bundle export", "FILE [ID]...", "Save campaigns that have ended as one file.",
      run_bundle_export,
-     "With their controllers, environments, settings, designs, generations, learning curves, "
-     "scores.",
+     "Includes their controllers, environments, settings, designs, generations, learning curves "
+     "and scores.",
      bundle_export_options},
     {"bundle import", "FILE", "Import the campaigns of a bundle.", run_bundle_import,
-     "All of them or, if the bundle is damaged, none. Campaigns that the server already has do "
+     "If the bundle is damaged, nothing is imported. Campaigns that the server already has do "
      "not change.",
      bundle_import_options},
     {"bundle verify", "FILE", "Check a bundle, and list its contents.", run_bundle_verify,
      "The server checks every hash and every line, and stores nothing."},
     {"scores export", "[FILE]", "Save stored scores as one file.", run_scores_export,
-     "With everything they depend on: bodies, environments, physics, weights, class, and who "
+     "Includes everything they depend on: bodies, environments, physics, weights, class, and who "
      "computed them. FILE is standard output by default.",
      scores_export_options},
     {"scores import", "FILE", "Import the scores in a file from another server.", run_scores_import,
-     "Block by block; - is standard input. A score that is stored with the same bits is skipped; "
-     "one that is stored with other bits stays and is listed: exit status 3."},
+     "Block by block; - is standard input. A score already stored with the same bits is skipped; "
+     "one stored with different bits is kept and listed: exit status 3."},
     {"controller list", "", "List controllers.", run_list},
     {"controller info", "NAME", "Show a controller.", run_controller_info},
     {"controller get", "NAME", "Fetch a controller's safetensors file.", run_controller_get, NULL,
@@ -609,10 +610,11 @@ const struct command commands[] = {
      "An existing name is repointed to the new file; scores keep the hash of the file they were "
      "computed with."},
     {"controller delete", "NAME", "Remove a name, or delete a file.", run_controller_delete,
-     "The file of a name stays. sha256:… deletes a file that no name, job or score refers to."},
-    {"devices", "", "Show the GPUs that compute.", run_devices, "Exit status 3 if one is lost."},
+     "Removing a name keeps its file. sha256:… deletes a file that no name, job or score refers "
+     "to."},
+    {"devices", "", "Show the GPUs in use.", run_devices, "Exit status 3 if one is lost."},
     {"fleet slurm", "", "Print a Slurm job array that starts workers.", run_fleet_launch,
-     "The installed workers.sbatch, with the options filled in.", fleet_slurm_options},
+     "Prints the installed workers.sbatch, with the options filled in.", fleet_slurm_options},
     {"fleet systemd", "", "Print a systemd unit that runs a worker.", run_fleet_launch,
      "Save it as morphod-worker@.service; it is also part of the installation.",
      fleet_systemd_options},
@@ -620,13 +622,12 @@ const struct command commands[] = {
      fleet_kubernetes_options},
     {"fleet drain", "[ID]", "Stop giving work to a worker.", run_fleet_drain,
      "It finishes its leases and leaves. With --older or --version, workers are drained for an "
-     "upgrade, one after the other: each exits with status 69 and reports the required version; "
-     "then this command waits until it is back. Exit status 3 if one returns with the same "
-     "version.",
+     "upgrade, one at a time: each exits with status 69 and reports the required version; this "
+     "command then waits until it is back. Exit status 3 if one returns with the same version.",
      fleet_drain_options},
     {"fleet verify", "NAME@HOST", "Recompute the results of a worker.", run_fleet_verify,
      "The server recomputes the stored losses and measures of this origin, and lists those that "
-     "differ. Exit status 3 if some do, unless they are repaired.",
+     "differ. Exit status 3 if any do, unless they are repaired.",
      fleet_verify_options},
     {"fleet", "", "Show the workers on other machines.", run_fleet, NULL, fleet_options},
     {"status", "", "Show whether the server is ready and what it does.", run_status},

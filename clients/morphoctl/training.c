@@ -268,7 +268,7 @@ const struct live_kind training_kind = {
     .size = sizeof(struct training),
     .noun = "training",
     .command = "train",
-    .accepted = "training {id} is accepted: {settings.steps:,} step{settings.steps:s} of "
+    .accepted = "training {id} accepted: {settings.steps:,} step{settings.steps:s} of "
                 "{settings.batch:,} robot{settings.batch:s}"
                 "[{settings.each=true} for each of {settings.n_designs:,} designs; controllers "
                 "kept: [the best {settings.best}|{settings.keep}]]",

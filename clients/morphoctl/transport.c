@@ -38,7 +38,7 @@ void random_key(char key[33])
 {
   unsigned char bytes[16];
   if (getrandom(bytes, sizeof(bytes), 0) != (ssize_t)sizeof(bytes))
-    fail(STATUS_ERROR, "no random numbers: %s", strerror(errno));
+    fail(STATUS_ERROR, "cannot get random numbers: %s", strerror(errno));
   for (size_t i = 0; i < sizeof(bytes); i++)
     snprintf(key + 2 * i, 3, "%02x", bytes[i]);
 }
@@ -216,7 +216,7 @@ int complain_about_server(const struct ctl *ctl, const char *words)
   const char *variable = getenv("MORPHOD_SERVER");
   complain(0, "%s: %s", ctl->server, words);
   print_plain_line(stderr,
-                   "  This address is %s. Is morphod running there? If it listens elsewhere, name "
+                   "  This address is %s. Is morphod running there? If it listens elsewhere, give "
                    "its address with --server or MORPHOD_SERVER: http://host:port or unix:/path.",
                    option_is_set(ctl, "server")         ? "that of --server"
                    : variable != NULL && *variable != 0 ? "that of MORPHOD_SERVER"

@@ -23,7 +23,7 @@ extern "C" {
 #define MO_GUIDE_HEADING_MAX_RAD    10.0 /* of |heading_rad| */
 #define MO_GUIDE_TURN_MAX_RAD_PER_S 10.0 /* of |turn_rad_per_s| */
 #define MO_GUIDE_SPEED_MAX_M_PER_S  10.0 /* of each component of velocity_m_per_s */
-#define MO_GUIDE_REACHED_M          0.2 /* a way-point this near to the center of mass is reached */
+#define MO_GUIDE_REACHED_M          0.2  /* a waypoint this near to the center of mass is reached */
 
 /* How the light moves. */
 enum mo_guide_kind {
@@ -43,7 +43,7 @@ struct mo_guide {
   double heading_rad;                      /* ahead, turning: from the x axis toward the y axis */
   double turn_rad_per_s;                   /* turning; moving: of the light around center_m */
   double distance_m;                       /* ahead, turning, path */
-  double points_m[MO_GUIDE_POINTS_MAX][2]; /* path: way-points, in this order, after the center of
+  double points_m[MO_GUIDE_POINTS_MAX][2]; /* path: waypoints, in this order, after the center of
                                               mass at the start */
   double velocity_m_per_s[2];              /* moving */
   double center_m[2];                      /* moving, if it turns: at time 0 */

@@ -293,7 +293,7 @@ void mo_api_get_atlas_map(struct mo_request *request)
   if (comparison == NULL)
     return;
   if (mo_query(request, "measure") == NULL) {
-    mo_reply_bad_parameter(request, "measure", "give a measure that the atlas has");
+    mo_reply_bad_parameter(request, "measure", "give one of the atlas's measures");
   } else if (mo_atlas_begin(request, MO_ATLAS_NEED_INDEX, &comparison->a)) {
     if (mo_atlas_query_measure(request, &comparison->a, &comparison->measure)) {
       mo_atlas_make_room(&mo_api_of(request)->atlases,

@@ -17,8 +17,8 @@ void mo_atlas_refuse(struct mo_request *request, const char *name, int error,
 {
   if (error == MO_ERR_FORMAT || error == MO_ERR_UNSUPPORTED || error == MO_ERR_CORRUPT)
     mo_reply_problem(request, 500, NULL,
-                     "The file atlases/%s.atlas in the state folder of the service cannot be used: "
-                     "%s. DELETE removes it, and a PUT of a good one replaces it.",
+                     "The file atlases/%s.atlas in the service's state folder cannot be used: "
+                     "%s. DELETE removes it; a PUT of a good file replaces it.",
                      name, message->text);
   else if (error == MO_ERR_IO)
     mo_reply_problem(
@@ -76,8 +76,8 @@ static bool read_design(struct mo_request *request, const char *text, struct mo_
   mo_reply_bad_parameter(request, "design",
                          error == MO_ERR_EMPTY || error == MO_ERR_NOT_CONTIGUOUS
                              ? "the body is empty or in several pieces"
-                             : "must be an id of 36 digits, perhaps with an orientation (ID@K), or "
-                               "a genotype of 144 digits of 0 and 1");
+                             : "must be an id of 36 digits, optionally with an orientation (ID@K), "
+                               "or a genotype of 144 digits 0 or 1");
   return false;
 }
 
@@ -87,7 +87,7 @@ bool mo_atlas_query_body(struct mo_request *request, const struct mo_atlas_use *
   const char *design = mo_query(request, "design");
   struct mo_genotype genotype = {.workspace = mo_api_of(request)->lattice->workspace};
   if ((design != NULL) == (mo_query(request, "position") != NULL)) {
-    mo_reply_bad_parameter(request, "design", "give a design or a position, and not both");
+    mo_reply_bad_parameter(request, "design", "give either a design or a position, not both");
     return false;
   }
   if (design == NULL)
@@ -97,7 +97,7 @@ bool mo_atlas_query_body(struct mo_request *request, const struct mo_atlas_use *
   if (mo_atlas_find(use->atlas, genotype.words, position) == MO_OK)
     return true;
   mo_reply_problem(request, 404, NULL,
-                   "The body has %u voxels; this atlas has the bodies of at most %u.",
+                   "The body has %u voxels; this atlas has bodies of at most %u.",
                    mo_genotype_count(genotype.workspace, genotype.words),
                    mo_atlas_source_of(use->atlas)->scope.voxels_max);
   return false;
@@ -131,7 +131,7 @@ bool mo_atlas_query_steps(struct mo_request *request, unsigned *steps)
     const unsigned step = step_of(at, n);
     if (step == 0) {
       mo_reply_bad_parameter(request, "steps",
-                             "must be one or several of add, remove and move, separated by commas");
+                             "must be one or more of add, remove and move, separated by commas");
       return false;
     }
     *steps |= step;

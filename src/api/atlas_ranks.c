@@ -28,7 +28,8 @@ static bool begin_order(struct mo_request *request, const struct mo_atlas_use *u
     return false;
   if (order->measure < 0) {
     if (mo_query(request, "order") != NULL)
-      mo_reply_bad_parameter(request, "order", "needs a measure; scores begin with the best");
+      mo_reply_bad_parameter(request, "order",
+                             "needs a measure; scores are always listed best first");
     return mo_query(request, "order") == NULL;
   }
   order->is_negative = is_list && which == 0;

@@ -31,7 +31,7 @@ static const struct mo_field rows[] = {
     {"name", MO_FIELD_OWN, 0, AT(request.name), .own = &name_field, .unit = "",
      .help = "the name of the atlas"},
     {"voxels", MO_FIELD_COUNT, 0, AT(request.voxels), .min = 1, .max = MO_ATLAS_VOXELS_MAX,
-     .unit = "voxels", .help = "the most voxels of a body"},
+     .unit = "voxels", .help = "largest number of voxels of a body"},
     {"task", MO_FIELD_WORD, 0, AT(task), .words = mo_suite_task_words, .unit = "",
      .help = "a task of the suite, in its ten worlds to select with"},
     {"environments", MO_FIELD_OWN, 0, AT(parts), .own = &mo_environments_field},
@@ -55,7 +55,7 @@ static int check(struct mo_json *json, void *any)
     mo_parts_check_factors(json, &parsed->parts, &parsed->request.physics, NULL);
   if (parsed->request.voxels == 0 && json->faults->n == 0)
     mo_json_fault_at(json, 0, "",
-                     "voxels is missing; it must be the most voxels of a body, 1 to %d",
+                     "voxels is missing; it must be largest number of voxels of a body, 1 to %d",
                      MO_ATLAS_VOXELS_MAX);
   if (parsed->task >= 0 && parsed->parts.has_environments)
     mo_json_fault_at(json, 0, "/task",
@@ -65,7 +65,7 @@ static int check(struct mo_json *json, void *any)
     mo_json_fault_at(json, 0, "/controller", "must be a controller's name, got null");
   if (parsed->parts.job.priority == MO_INTERACTIVE)
     mo_json_fault_at(json, 0, "/priority",
-                     "must be \"batch\": an atlas takes too long to go before other work");
+                     "must be \"batch\": an atlas takes too long to run ahead of other work");
   return MO_OK;
 }
 

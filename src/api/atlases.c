@@ -195,7 +195,7 @@ void mo_api_put_atlas_file(struct mo_request *request)
     reply_atlas(request, created ? 201 : 200, name);
     if (request->reply.status == 404)
       mo_reply_problem(request, 409, NULL,
-                       "The file was stored, and another request has deleted it already.");
+                       "The file was stored, but another request has already deleted it.");
     if (request->reply.status == 201)
       snprintf(request->reply.location, sizeof(request->reply.location), "/v1/atlases/%s", name);
   } else if (error == MO_ERR_FORMAT || error == MO_ERR_UNSUPPORTED || error == MO_ERR_CORRUPT) {

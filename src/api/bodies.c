@@ -106,7 +106,7 @@ static int check_designs(struct mo_json *json, void *any)
                      MO_DESIGNS_MAX);
   if ((uint64_t)n_given(parsed) * parsed->children > MO_DESIGNS_MAX)
     mo_json_fault_at(json, 0, "/children",
-                     "%u children of each of %u designs are too many; request at most %d in all",
+                     "%u children of each of %u designs are too many; request at most %d in total",
                      parsed->children, n_given(parsed), MO_DESIGNS_MAX);
   return MO_OK;
 }
@@ -406,8 +406,8 @@ static void make_crossed(struct bodies *bodies)
                                             second->genotype.words, child.words);
     if (error == MO_ERR_EMPTY)
       add_none(bodies, parents, 2, pointer,
-               "the parents are equal, so their child is empty: it has only the voxels that one "
-               "parent has and the other lacks");
+               "the parents are equal, so their child would be empty: a child has only the voxels "
+               "that exactly one parent has");
     else if (error == MO_OK)
       add(bodies, &child, parents, 2, NULL);
     else

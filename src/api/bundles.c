@@ -49,8 +49,8 @@ static bool check_recordings(struct mo_request *request, const int64_t *ids, uin
   if (sum <= MO_BUNDLE_ROLLOUTS)
     return true;
   mo_reply_problem(request, 409, NULL,
-                   "%llu rollouts of these campaigns' designs are recorded, but a bundle can hold "
-                   "at most %d. Select fewer campaigns, or delete recordings.",
+                   "These campaigns have %llu recorded rollouts, but a bundle can hold at "
+                   "most %d. Select fewer campaigns, or delete recordings.",
                    (unsigned long long)sum, MO_BUNDLE_ROLLOUTS);
   return false;
 }

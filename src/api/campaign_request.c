@@ -323,7 +323,7 @@ static void check_aggregate(struct mo_json *json, const struct mo_parsed_campaig
   if (aggregate->kind == MO_AGGREGATE_MEAN_SD && parsed->parts.environments != NULL &&
       parsed->parts.n_environments == 1)
     mo_json_fault_at(json, 0, "/aggregate",
-                     "one environment has no standard deviation; give at least two environments, "
+                     "one environment has no standard deviation; give at least two environments "
                      "or another aggregate");
 }
 
@@ -348,7 +348,7 @@ static void check_re_evaluation(struct mo_json *json, const struct mo_parsed_cam
     return; /* there is no such set, which is refused elsewhere */
   const char *reason = mo_fresh_refuses(&base);
   if (reason != NULL)
-    mo_json_fault_at(json, 0, "/re_evaluate", "there are no fresh worlds: %s", reason);
+    mo_json_fault_at(json, 0, "/re_evaluate", "no fresh worlds can be drawn: %s", reason);
   else if (mo_fresh_count(&base, wanted) < wanted)
     mo_json_fault_at(json, 0, "/re_evaluate/environments",
                      "must be at most %u, because the held-out set of %s has no more, got %u",
@@ -364,7 +364,7 @@ static void check_if_exists(struct mo_json *json, const struct mo_parsed_campaig
     mo_json_fault_at(json, 0, "/if_exists", "only studies support \"return\"; use \"create\"");
   else if (parsed->parts.label[0] == '\0')
     mo_json_fault_at(json, 0, "/if_exists",
-                     "the study to return is found by its label; add a label");
+                     "a study to return is found by its label; give a label");
 }
 
 /* Checks the sizes of a campaign that learns. */

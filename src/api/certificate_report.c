@@ -242,8 +242,8 @@ static void reply(struct mo_request *request,
     error = MO_ERR_NO_MEMORY;
   if (error == MO_ERR_EMPTY) {
     mo_reply_problem(request, 409, NULL,
-                     "The certificate is %s and has no complete trial yet; it has a report as soon "
-                     "as all designs are scored in the base.",
+                     "The certificate is %s and has no complete trial yet; its report is available "
+                     "once all designs are scored in the base.",
                      mo_job_state_name(state));
   } else if (error != MO_OK || type == NULL) {
     mo_reply_text(request, error, &text, "certificate");

@@ -70,7 +70,7 @@ static int check(struct mo_json *json, void *any)
     mo_json_fault_at(json, 0, "/controller", "must be a controller's name, got null");
   if (parts->job.priority == MO_INTERACTIVE)
     mo_json_fault_at(json, 0, "/priority",
-                     "must be \"batch\": a certificate takes too long to go before other work");
+                     "must be \"batch\": a certificate takes too long to run ahead of other work");
   return MO_OK;
 }
 

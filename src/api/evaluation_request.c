@@ -187,10 +187,11 @@ static void check_error(struct mo_json *json, const struct mo_parsed_evaluation 
     mo_json_fault_at(json, 0, place, "is supported only on CPUs; request \"cpu\" or \"auto\"");
   if (request->precision == MO_FLOAT32 &&
       request->physics.drop_height_m + highest_m > MO_ERROR_FLOAT32_MAX_M)
-    mo_json_fault_at(json, 0, place,
-                     "displaces starts by %g m, which float32 loses in heights over %g m; request "
-                     "\"precision\": \"float64\"",
-                     MO_ERROR_DISPLACEMENT_M, MO_ERROR_FLOAT32_MAX_M);
+    mo_json_fault_at(
+        json, 0, place,
+        "displaces starts by %g m, which float32 cannot represent at heights above %g m; request "
+        "\"precision\": \"float64\"",
+        MO_ERROR_DISPLACEMENT_M, MO_ERROR_FLOAT32_MAX_M);
   for (uint32_t run = 1; run < n_runs && error == MO_OK; run++) {
     const struct mo_setting setting = mo_ladder_run(&first, request->n_displaced, run);
     error = mo_physics_check(&setting.physics, &message);

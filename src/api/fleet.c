@@ -271,7 +271,7 @@ static void reply_refusal(struct mo_request *request, int error, const struct mo
     mo_reply_problem(request, 422, NULL, "%s.", message->text);
   else if (error == MO_ERR_CONFLICT)
     mo_reply_problem(request, 409, NULL, "%s.",
-                     message->text[0] != '\0' ? message->text : "The session is refused");
+                     message->text[0] != '\0' ? message->text : "The session was refused");
   else
     mo_reply_error(request, error, "session");
 }

@@ -98,7 +98,7 @@ static bool read_text(struct mo_request *request, const char *name, size_t most,
 static bool read_user(struct mo_request *request, const char **name)
 {
   static const char words[] =
-      "must be a token's name: 1 to 64 printable ASCII characters without blanks";
+      "must be a token's name: 1 to 64 printable ASCII characters without spaces";
   if (!read_text(request, "submitted_by", MO_USER_BYTES_MAX, words, name))
     return false;
   for (const char *c = *name; c != NULL && *c != '\0'; c++)
@@ -115,11 +115,12 @@ bool mo_read_job_filters(struct mo_request *request, struct mo_job_query *query,
   static const char *const archived[] = {"false", "true", "all", NULL};
   int which = 0;
   if (!mo_query_word(request, "state", mo_job_state_words, &query->state) ||
-      !read_text(request, "label", 200,
-                 "must be a job's label, of 1 to 200 characters, or its beginning and a star",
-                 &query->label) ||
-      !read_text(request, "search", 200, "must be text to find in labels, 1 to 200 characters",
-                 &query->search) ||
+      !read_text(
+          request, "label", 200,
+          "must be a job's label, of 1 to 200 characters, or its beginning followed by an asterisk",
+          &query->label) ||
+      !read_text(request, "search", 200,
+                 "must be text to search for in labels, 1 to 200 characters", &query->search) ||
       !read_text(request, "experiment", 100, "must be an experiment's name, of 1 to 100 characters",
                  &query->experiment) ||
       !read_user(request, &query->submitted_by) ||

@@ -82,8 +82,8 @@ void mo_api_get_training_controller(struct mo_request *request)
   }
   if (status.record.each) {
     mo_reply_problem(request, 404, NULL,
-                     "The training has a controller per design, and none of its own; GET "
-                     "/v1/trainings/%lld/each lists the designs and the controllers that it keeps.",
+                     "The training has one controller per design and no single result; GET "
+                     "/v1/trainings/%lld/each lists the designs and the stored controllers.",
                      (long long)id);
     return;
   }

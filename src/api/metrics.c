@@ -24,7 +24,7 @@ static void write_compute(struct mo_api *api, struct mo_text *text)
   COUNTER("morphod_worker_busy_seconds_total", c.busy_s,
           "Time of computing threads inside blocks.");
   GAUGE("morphod_worker_scratch_bytes", c.worker_bytes_max,
-        "Largest scratch memory of one computing thread.");
+        "Largest scratch memory of any computing thread.");
   COUNTER("morphod_blocks_total", c.blocks_done, "Blocks computed.");
   COUNTER("morphod_blocks_preempted_total", c.blocks_preempted,
           "Blocks set aside for urgent ones.");
@@ -87,14 +87,14 @@ static void write_fleet(struct mo_api *api, struct mo_text *text)
     mo_fleet_status(fleet, &f);
   GAUGE("morphod_fleet_listening", fleet != NULL, "1 while workers on other machines can join.");
   GAUGE("morphod_fleet_only", fleet != NULL && strcmp(api->fleet_compute, "fleet") == 0,
-        "1 while scores of batch jobs are left to workers on other machines.");
+        "1 while only workers on other machines compute the scores of batch jobs.");
   mo_metric_head(text, serving, "gauge", "Workers on other machines that accept work, by class.");
   mo_metric_line(text, serving, "class", "cpu", f.n_serving[MO_ON_CPU]);
   mo_metric_line(text, serving, "class", "device", f.n_serving[MO_ON_DEVICE]);
   GAUGE("morphod_fleet_threads", f.n_threads, "Computing threads of these workers.");
   GAUGE("morphod_fleet_devices", f.n_devices, "GPUs of these workers.");
   GAUGE("morphod_fleet_leases", f.leases, "Leases that workers hold.");
-  GAUGE("morphod_fleet_rollouts_out", f.rows_out, "Rollouts of these leases.");
+  GAUGE("morphod_fleet_rollouts_out", f.rows_out, "Rollouts in these leases.");
   COUNTER("morphod_fleet_joined_total", f.joined, "Sessions that joined since the start.");
   COUNTER("morphod_fleet_lost_total", f.lost,
           "Sessions that ended without leaving since the start.");
@@ -103,7 +103,7 @@ static void write_fleet(struct mo_api *api, struct mo_text *text)
   COUNTER("morphod_fleet_rollouts_total", f.rows_done,
           "Rollouts computed by workers on other machines since the start.");
   COUNTER("morphod_fleet_rollouts_twice_total", f.rows_twice,
-          "Of these, rollouts that were computed before.");
+          "Of these, rollouts that had been computed before.");
   COUNTER("morphod_fleet_audits_total", f.audits, "Leases computed twice and compared.");
   COUNTER("morphod_fleet_audits_failed_total", f.audits_failed,
           "Audits that found different bits.");
@@ -149,9 +149,9 @@ static void write_running(struct mo_api *api, struct mo_text *text)
     const char *name, *help;
   } series[SERIES] = {
       [SHARE] = {"morphod_job_progress_ratio", "Share of a running job that is done."},
-      [DONE] = {"morphod_job_parts_done", "Parts of a running job that are done: rollouts of an "
-                                          "evaluation, steps of a training, generations of a "
-                                          "campaign, the first population included, bodies of "
+      [DONE] = {"morphod_job_parts_done", "Finished parts of a running job: rollouts of an "
+                                          "evaluation, steps of a training run, generations of a "
+                                          "campaign including the first population, bodies of "
                                           "an atlas, rollouts of a certificate."},
       [PARTS] = {"morphod_job_parts", "All parts of a running job."},
       [RATE] =
@@ -195,7 +195,7 @@ static void write_running(struct mo_api *api, struct mo_text *text)
 static void write_trainings(struct mo_text *text, const struct mo_jobs_stats *j)
 {
   GAUGE("morphod_trainings_running", j->active_trainings,
-        "Trainings that run or are being prepared.");
+        "Training runs that are running or being prepared.");
   COUNTER("morphod_training_steps_total", j->training_steps, "Steps of learning since the start.");
   COUNTER("morphod_training_step_seconds_total", j->training_step_s,
           "Time of these steps; divided by their number, the seconds per step.");
@@ -231,7 +231,7 @@ static void write_certificates(struct mo_text *text, const struct mo_jobs_stats 
 static void write_campaigns(struct mo_text *text, const struct mo_jobs_stats *j)
 {
   GAUGE("morphod_campaigns_running", j->active_campaigns,
-        "Campaigns that run or are being prepared.");
+        "Campaigns that are running or being prepared.");
   COUNTER("morphod_campaign_generations_total", j->campaign_generations,
           "Generations committed since the start.");
   COUNTER("morphod_campaign_designs_total", j->campaign_designs,
@@ -284,7 +284,7 @@ void mo_api_metrics_write(struct mo_api *api, struct mo_text *text)
   GAUGE("morphod_ready", mo_http_is_ready(api->http), "1 while new work is accepted.");
   if (api->log_dropped != NULL)
     COUNTER("morphod_log_lines_dropped_total", api->log_dropped(),
-            "Log lines that standard error did not accept.");
+            "Log lines that could not be written to standard error.");
   mo_metrics_write(api->http, text);
   write_compute(api, text);
   write_devices(api, text);

@@ -149,7 +149,7 @@ void mo_api_get_suite_picture(struct mo_request *request)
                     : 0;
   if (mo_suite_of(&job) < 0)
     mo_reply_problem(request, 404, NULL,
-                     "The evaluation has no picture: its environments are not a suite.");
+                     "The evaluation has no picture, because its environments are not a suite.");
   else if (job.state != MO_JOB_SUCCEEDED)
     mo_reply_problem(request, 409, NULL,
                      "The evaluation is %s; it has a picture once it has succeeded.",
@@ -157,7 +157,7 @@ void mo_api_get_suite_picture(struct mo_request *request)
   else if (n == 0 && !mo_results_fit(&job))
     mo_reply_bad_parameter(
         request, "designs",
-        "is required: this evaluation has too many designs to rank; name up to 6");
+        "is required, because this evaluation has too many designs to rank; give up to 6");
   else if (n >= 0) {
     const int error = draw(api, &job, numbers, n, (uint32_t)width_px, theme == 1, &text);
     if (error != MO_OK || text.failed) {

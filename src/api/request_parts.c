@@ -88,8 +88,8 @@ static void check_given_light(struct mo_json *json, unsigned depth,
   const struct mo_guide *guide = &environment->task.guide;
   if (guide->kind != MO_GUIDE_FIXED && given->light)
     mo_json_fault_at(json, depth, "",
-                     "light_xy_m is only for a light that does not move; remove it, because the "
-                     "guide of the task (\"%s\") places the light",
+                     "light_xy_m is only for a fixed light; remove it, because the guide "
+                     "of the task (\"%s\") places the light",
                      mo_guide_words[guide->kind]);
   else if (guide->kind == MO_GUIDE_FIXED && !given->light)
     mo_json_fault_at(json, depth, "",
@@ -170,7 +170,7 @@ static void read_set(struct mo_json *json, struct mo_parts *parts)
   parts->environment_set = suite != NULL ? suite : find_word(mo_set_words, name);
   if (suite != NULL && !parts->takes_suites) {
     mo_json_fault_at(json, depth, "",
-                     "%s is a suite of %d sets, which only evaluations take; give the set of a "
+                     "%s is a suite of %d sets, which only evaluations accept; give the set of one "
                      "task, such as %s",
                      suite, MO_SUITE_TASKS, mo_suite_set(mo_word_index(mo_suite_words, suite), 2));
     parts->environment_set = NULL;

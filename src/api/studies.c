@@ -145,7 +145,7 @@ static void reply_batch(struct mo_request *request, int64_t id, unsigned status_
   }
   free_told(&told);
   if (error == MO_ERR_NOT_FOUND)
-    mo_reply_problem(request, 404, NULL, "No batch has been told yet.");
+    mo_reply_problem(request, 404, NULL, "No batch has been sent yet.");
   else if (error != MO_OK)
     mo_reply_error(request, error, "study");
   else {
@@ -195,7 +195,7 @@ static void reply_refused(struct mo_request *request, struct mo_post *post, int 
 {
   char place[64] = "/children";
   if (error == MO_ERR_CONFLICT) {
-    mo_reply_problem(request, 409, NULL, "The batch is refused: %s.", mo_post_words(post, error));
+    mo_reply_problem(request, 409, NULL, "The batch was refused: %s.", mo_post_words(post, error));
     mo_reply_extra(request, "Morphod-Next-Batch", "%u", reply->next);
     return;
   }
@@ -282,7 +282,7 @@ static int ask(struct mo_request *request, struct mo_post *post)
   if (error == MO_OK)
     mo_reply_json(request, 200, &text);
   else if (post->parsed && error == MO_ERR_CONFLICT)
-    mo_reply_problem(request, 409, NULL, "The study cannot be asked for bodies: %s.",
+    mo_reply_problem(request, 409, NULL, "The study cannot return bodies: %s.",
                      mo_post_words(post, error));
   else if (error == MO_ERR_NOT_FOUND)
     mo_reply_error(request, error, "study");
@@ -317,7 +317,7 @@ void mo_api_get_study_sampler(struct mo_request *request)
     return;
   }
   if (bytes == NULL) {
-    mo_reply_problem(request, 404, NULL, "The newest batch was told without a sampler state.");
+    mo_reply_problem(request, 404, NULL, "The newest batch was sent without a sampler state.");
     return;
   }
   mo_sha256_of(bytes, size, &status.sampler_sha256);

@@ -91,10 +91,11 @@ bool mo_read_request(struct mo_request *request, const struct mo_fields *fields,
 
 void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults)
 {
-  mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "the key was used with another body");
+  mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key",
+                "the key was used with a different body");
   mo_reply_problem(
       request, 422, faults,
-      "The Idempotency-Key was used with another body; use a new key for a new request.");
+      "The Idempotency-Key was used with a different body; use a new key for a new request.");
 }
 
 /* Replies with the reason why a submission was not stored. */

@@ -405,9 +405,8 @@ static void reply_columns(struct mo_request *request, struct table *table)
   size_t size = 0;
   char *joined = more == MO_OK ? join(table, &size) : NULL;
   if (more == MO_ERR_LIMIT) {
-    mo_reply_bad_parameter(
-        request, "format",
-        "the columns of this reply would take more than 64 MiB; use csv or ndjson");
+    mo_reply_bad_parameter(request, "format",
+                           "the columns of this reply would exceed 64 MiB; use csv or ndjson");
   } else if (joined != NULL) {
     mo_reply_bytes(request, 200, MO_SCENE_TYPE, joined, size);
     request->reply.packs = true;

@@ -51,7 +51,7 @@ void mo_parts_check_factors(struct mo_json *json, struct mo_parts *parts,
         snprintf(pointer, sizeof(pointer), "/environments/vary");
       else
         snprintf(pointer, sizeof(pointer), "/environments/%u/factors", i);
-      mo_json_fault_at(json, 0, pointer, "makes constants that are out of range%s: %s",
+      mo_json_fault_at(json, 0, pointer, "puts constants out of range%s: %s",
                        varies ? " with the factors that learning draws" : "", message.text);
     } else if (varies && mo_environment_check_vary(environment, vary, &message) != MO_OK) {
       snprintf(pointer, sizeof(pointer), parts->is_varied ? "/environments" : "/environments/%u",

@@ -87,8 +87,8 @@ void mo_api_get_environment_set(struct mo_request *request)
   uint32_t n = 0;
   if (suite >= 0) {
     mo_reply_problem(request, 404, NULL,
-                     "%s is a suite of %d sets, which GET /v1/environment-sets lists; ask for the "
-                     "environments of one of them, such as %s.",
+                     "%s is a suite of %d sets, which GET /v1/environment-sets lists; request the "
+                     "environments of one set, such as %s.",
                      mo_suite_words[suite], MO_SUITE_TASKS, mo_suite_set(suite, 2));
     return;
   }
@@ -162,8 +162,8 @@ static bool read_design(struct mo_request *request, struct mo_genotype *genotype
   if (error == MO_OK)
     return true;
   mo_reply_problem(request, 404, NULL,
-                   "A design is an id of 36 digits, perhaps with an orientation (ID@K, K from 0 to "
-                   "7; without it: @0), or a genotype of 144 digits of 0 and 1.");
+                   "A design is an id of 36 digits, optionally with an orientation (ID@K, K from "
+                   "0 to 7; default: @0), or a genotype of 144 digits 0 or 1.");
   return false;
 }
 

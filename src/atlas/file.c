@@ -66,7 +66,7 @@ int mo_atlas_head_check(const struct mo_atlas_head *head, uint64_t file_bytes,
                    "the atlas file has another byte order: write it on a little-endian machine");
   if (head->version < MO_ATLAS_VERSION || head->version > MO_ATLAS_MEASURED)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
-                   "the atlas file has version %u, and this program reads versions %d and %d: use "
+                   "the atlas file has version %u; this program reads versions %d and %d: use "
                    "the program that wrote it, or write the atlas again",
                    head->version, MO_ATLAS_VERSION, MO_ATLAS_MEASURED);
   if (head->end[head->version == MO_ATLAS_MEASURED] != mo_atlas_head_hash(head) ||
@@ -74,12 +74,11 @@ int mo_atlas_head_check(const struct mo_atlas_head *head, uint64_t file_bytes,
     return mo_fail(message, MO_ERR_CORRUPT, "the head of the atlas file is damaged: " REMEDY);
   if (mo_atlas_head_measures(head) > MO_MEASURES_ALL)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
-                   "the atlas file has measures that this program does not know: use the program "
-                   "that wrote it");
+                   "the atlas file has unknown measures: use the program that wrote it");
   mo_atlas_layout_fill(head, &layout);
   if (layout.begins[MO_ATLAS_VOXELS_MAX] != file_bytes)
     return mo_fail(
-        message, MO_ERR_CORRUPT, "the atlas file has %llu bytes, and should have %llu: " REMEDY,
+        message, MO_ERR_CORRUPT, "the atlas file has %llu bytes, but should have %llu: " REMEDY,
         (unsigned long long)file_bytes, (unsigned long long)layout.begins[MO_ATLAS_VOXELS_MAX]);
   return MO_OK;
 }

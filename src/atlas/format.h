@@ -34,7 +34,7 @@ struct mo_atlas_head {
                       checksum of all before it */
 };
 _Static_assert(sizeof(struct mo_atlas_head) % 8 == 0, "no padding, and blocks are aligned");
-_Static_assert(MO_ATLAS_VOXELS_MAX == 10, "another number of counts needs another version");
+_Static_assert(MO_ATLAS_VOXELS_MAX == 10, "a different number of counts needs a new version");
 
 /* Returns the bytes of a head in the file. */
 static inline size_t mo_atlas_head_bytes(const struct mo_atlas_head *head)

@@ -57,7 +57,7 @@ static int fail_at(const struct mo_atlas_writer *writer, int error, const char *
 static int fail_exists(const struct mo_atlas_writer *writer, struct mo_message *message)
 {
   return mo_fail(message, MO_ERR_CONFLICT,
-                 "%.150s exists already: remove it, or choose another name", writer->path);
+                 "%.150s already exists: remove it, or choose another name", writer->path);
 }
 
 /* ---- writing ---- */
@@ -270,7 +270,7 @@ int mo_atlas_writer_finish(struct mo_atlas_writer *writer, struct mo_message *me
                    writer->part);
   if (writer->position < bodies)
     return mo_fail(message, MO_ERR_INVALID,
-                   "the atlas lacks %llu of %llu bodies: add them before it is finished",
+                   "the atlas lacks %llu of %llu bodies: add them before finishing it",
                    (unsigned long long)(bodies - writer->position), (unsigned long long)bodies);
   if (!writer->is_named && writer->files->rename_new(writer->part, writer->path) != 0)
     return errno == EEXIST ? fail_exists(writer, message)
@@ -360,7 +360,7 @@ static int lock(struct mo_atlas_writer *writer, struct stat *status, struct mo_m
     return fail_at(writer, mo_file_error(), "open", message);
   if (flock(writer->fd, LOCK_EX | LOCK_NB) != 0)
     return errno == EWOULDBLOCK
-               ? mo_fail(message, MO_ERR_BUSY, "another writer has %.150s: wait until it ends",
+               ? mo_fail(message, MO_ERR_BUSY, "another writer is using %.150s: wait until it ends",
                          writer->part)
                : fail_at(writer, MO_ERR_IO, "lock", message);
   /* Another writer may have finished between the opening and the lock. */

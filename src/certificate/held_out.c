@@ -66,14 +66,14 @@ static bool is_in_ring(const double light_xy_m[2])
 static const char *list_refuses(const struct mo_environment *environment)
 {
   if (environment->n_profile > 0 || environment->grid != NULL)
-    return "the terrains of this list are not 8 x 8 heights, and only those can be drawn again; "
-           "use a named set, or choose other worlds yourself";
+    return "fresh terrains can be drawn only for lists with 8 x 8 heights; use a "
+           "named set, or list other worlds yourself";
   if (!is_rough(environment->terrain_heights_m))
-    return "the terrains of this list are not those that training draws, so nothing says what "
-           "others of their kind would be; use a named set, or choose other worlds yourself";
+    return "the terrains of this list are not of the kind that training draws, so no "
+           "fresh ones can be drawn; use a named set, or list other worlds yourself";
   if (environment->task.guide.kind == MO_GUIDE_FIXED && !is_in_ring(environment->light_xy_m))
-    return "the lights of this list are not 0.4 to 2 m from the center, where training has them; "
-           "use a named set, or choose other worlds yourself";
+    return "the lights of this list are not 0.4 to 2 m from the center, where training places "
+           "them; use a named set, or list other worlds yourself";
   return NULL;
 }
 
@@ -82,7 +82,7 @@ const char *mo_fresh_refuses(const struct mo_certificate_base *base)
   if (base->set != NULL)
     return is_paper_test(base->set) || fresh_set(base->set) >= 0
                ? NULL
-               : "the worlds are a held-out set already, and its suite has no others";
+               : "the worlds are already a held-out set, and its suite has no others";
   for (uint32_t k = 0; k < base->n_environments; k++) {
     const char *reason = list_refuses(&base->environments[k]);
     if (reason != NULL)

@@ -71,7 +71,7 @@ static int check_axes(const char *name, const void *value, struct mo_message *me
   const uint32_t axes = *(const uint32_t *)value;
   if ((axes & ~MO_AXES_ALL) != 0)
     return mo_fail(message, MO_ERR_INVALID,
-                   "%s has a bit that is not an axis, got %#x; use 0 to %d", name, (unsigned)axes,
+                   "%s has a bit that is not an axis: %#x; use bits 0 to %d", name, (unsigned)axes,
                    MO_AXES - 1);
   if ((axes & 1U << MO_AXIS_BASE) == 0)
     return mo_fail(message, MO_ERR_INVALID, "%s must have the bit of the base", name);
@@ -181,7 +181,7 @@ static const struct mo_field rows[] = {
     {"ranges", MO_FIELD_OWN, 0, AT(ranges), .own = &ranges, .group = &mo_factor_range_fields,
      .unit = "", .help = "worlds: lowest and highest factor of each constant"},
     {"top", MO_FIELD_COUNT, 0, AT(top), .min = 0, .max = MO_CERTIFICATE_DESIGNS_MAX, .unit = "",
-     .help = "designs whose choice the regret is about; 0: a tenth of them, at least 1"},
+     .help = "number of best designs that the regret is for; 0: a tenth of them, at least 1"},
 };
 #undef AT
 const struct mo_fields mo_certificate_fields = MO_FIELDS(rows);

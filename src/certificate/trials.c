@@ -155,7 +155,7 @@ const char *mo_certificate_omits(const struct mo_certificate_settings *settings,
   if ((settings->axes >> axis & 1) == 0 || axis == MO_AXIS_BASE)
     return NULL;
   if (axis == MO_AXIS_PRECISION && base->precision == MO_FLOAT64)
-    return "the base is computed in float64 already";
+    return "the base is already computed in float64";
   if (axis == MO_AXIS_HELD_OUT)
     return mo_fresh_refuses(base);
   if (axis == MO_AXIS_WORLDS && !mo_factors_vary(&settings->ranges))
@@ -230,11 +230,11 @@ static void note_levels(const struct mo_certificate_settings *settings,
     append(note, "levels left out:%s, out of range", left);
   if (unstable[0] != '\0' && axis == MO_AXIS_WORLDS)
     append(note, "in some of the worlds, the springs of some bodies are unstable with this dt_s; "
-                 "there, a divergence can be that of the step");
+                 "there, a divergence may be due to the step");
   else if (unstable[0] != '\0')
     append(note,
            "at%s, the springs of some bodies are unstable with this dt_s; there, a "
-           "divergence can be that of the step",
+           "divergence may be due to the step",
            unstable);
 }
 
@@ -249,7 +249,7 @@ bool mo_certificate_note(const struct mo_certificate_settings *settings,
   if (axis == MO_AXIS_HELD_OUT) {
     const uint32_t n = mo_fresh_count(base, settings->held_out);
     if (n < settings->held_out)
-      append(note, "%u worlds in place of %u, because the held-out set has no more", (unsigned)n,
+      append(note, "%u worlds instead of %u, because the held-out set has no more", (unsigned)n,
              (unsigned)settings->held_out);
     if (mo_fresh_kind(base) != NULL)
       append(note, "%s", mo_fresh_kind(base));

@@ -34,8 +34,8 @@ static int load(struct mo_devices *devices, const char *path, struct mo_message 
     return mo_fail(message, MO_ERR_UNSUPPORTED, "%s is not a device module", path);
   if (module->abi != MO_DEVICE_ABI)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
-                   "%s is for another version of this program (interface %u, not %u); install the "
-                   "module of this version",
+                   "%s is for a different version of this program (interface %u, not %u); install "
+                   "this version's module",
                    path, (unsigned)module->abi, (unsigned)MO_DEVICE_ABI);
   devices->module = module;
   return MO_OK;
@@ -208,7 +208,7 @@ int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_c
                            struct mo_message *message)
 {
   if (mo_core(compute)->devices != NULL)
-    return mo_fail(message, MO_ERR_CONFLICT, "devices were added already");
+    return mo_fail(message, MO_ERR_CONFLICT, "devices were already added");
   struct mo_devices *devices = mo_devices_create(compute);
   if (devices == NULL)
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");

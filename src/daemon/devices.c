@@ -85,7 +85,7 @@ int devices_open(struct mo_compute *compute, const struct setting_list *devices,
   if (status != MO_OK)
     return status;
   if (!choice.all && choice.n == 0) {
-    log_info("no devices are configured; using the processors");
+    log_info("no devices are configured; using the CPU");
     return MO_OK;
   }
   if (module == NULL)
@@ -100,7 +100,7 @@ int devices_open(struct mo_compute *compute, const struct setting_list *devices,
     log_devices(compute);
   else if ((status == MO_ERR_NOT_FOUND && !is_named) ||
            (status == MO_ERR_EXHAUSTED && choice.all)) {
-    log_info("no devices found; using the processors", LOG_TEXT("detail", words.text));
+    log_info("no devices found; using the CPU", LOG_TEXT("detail", words.text));
     status = MO_OK;
   } else
     (void)mo_fail(message, status, "devices: %.230s", words.text);

@@ -131,7 +131,8 @@ static size_t format_notice(char line[LOG_LINE_BYTES], uint64_t n)
 {
   const struct log_field fields[] = {LOG_INT("lines", n)};
   return format_now(line, LOG_LEVEL_WARNING,
-                    "log lines were dropped: standard error did not accept them", fields, 1);
+                    "log lines were dropped: they could not be written to standard error", fields,
+                    1);
 }
 
 /* ---- the thread that writes ---- */

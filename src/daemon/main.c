@@ -96,9 +96,9 @@ static void reload(struct process *process)
     settings_check(&settings, false, &faults);
   report_faults(&faults);
   if (faults.n_fatal > 0) {
-    log_error("reload refused; the old configuration stays");
+    log_error("reload failed; the old configuration remains in use");
   } else if (service_reload_tokens(process->service, &settings, &message) != MO_OK) {
-    log_error("reload refused; the old tokens stay", LOG_TEXT("reason", message.text));
+    log_error("reload failed; the old tokens remain in use", LOG_TEXT("reason", message.text));
   } else {
     for (size_t i = 0; i < settings_count; i++)
       apply(&process->settings, &settings, &settings_table[i]);
@@ -167,7 +167,7 @@ static void check_parts(struct process *process, bool *was_alive)
   if (alive && process->watchdog_us > 0)
     sd_notify(0, "WATCHDOG=1");
   if (!alive && *was_alive)
-    log_error("a part of the service is stuck", LOG_TEXT("part", who));
+    log_error("part of the service is stuck", LOG_TEXT("part", who));
   if (alive && !*was_alive)
     log_info("the service is running again");
   *was_alive = alive;

@@ -606,7 +606,7 @@ void service_report_expiry(struct service *service)
   struct mo_store_stats store;
   mo_store_get_stats(service->store, &store);
   if (store.jobs_expired > service->jobs_expired)
-    log_info("jobs were deleted because of their age",
+    log_info("old jobs were deleted",
              LOG_INT("jobs", (int64_t)(store.jobs_expired - service->jobs_expired)));
   if (store.clock_ahead_us > 0 && !service->clock_doubted)
     log_warning("the clock is not credible, so no jobs are deleted by age; set the clock, or "

@@ -47,13 +47,13 @@ const struct setting settings_table[] = {
     VALUE_ROW("workers", SETTING_NUMBER, workers, 0, 1024, "0", "one per processor",
               "Number of computing threads. Scores do not depend on it."),
     CHOICE_ROW("isa", isa, "auto|x86-64|avx2|avx512", "auto", false,
-               "Instruction set of the kernels. Scores of one set never change; sets differ in the "
-               "last bits."),
+               "Instruction set of the kernels. Scores from one set never change; those from "
+               "different sets differ in the last bits."),
     VALUE_ROW("worker_nice", SETTING_NUMBER, worker_nice, 0, 19, "5", NULL,
               "Niceness of the computing threads relative to the process, so that replies never "
               "wait for computing."),
     TEXT_ROW("devices", SETTING_LIST, devices, "auto", NULL, false,
-             "GPUs that compute: auto (all that work), none, or their numbers: 0,1. Scores do not "
+             "GPUs to use: auto (all that work), none, or their numbers: 0,1. Scores do not "
              "depend on their number, but differ from the CPU's in the last digits."),
     TEXT_ROW("compute_module", SETTING_PATH, compute_module, "",
              "morphod-cuda.so of the installation, if it exists", false,
@@ -166,8 +166,8 @@ const struct setting settings_table[] = {
     CHOICE_ROW("log_format", log_format, "text|logfmt|json", "text", false,
                "Format of the log lines on standard error."),
     TEXT_ROW("port_file", SETTING_PATH, port_file, "", "none", false,
-             "File that receives the addresses served, one per line, once they are served; removed "
-             "when morphod stops."),
+             "File to which the addresses served are written, one per line, once they are served; "
+             "removed when morphod stops."),
 };
 const size_t settings_count = sizeof(settings_table) / sizeof(settings_table[0]);
 _Static_assert(sizeof(settings_table) / sizeof(settings_table[0]) <= SETTINGS_MAX,
@@ -218,7 +218,7 @@ static int set_list(struct setting_list *list, const char *text, bool append,
     c += gap;
     size_t length = strcspn(c, ", \t");
     if (length > 0 && list->n >= 64)
-      return mo_fail(message, MO_ERR_LIMIT, "a list holds at most 64 items");
+      return mo_fail(message, MO_ERR_LIMIT, "a list can have at most 64 items");
     if (length > 0) {
       list->items = enough(realloc(list->items, (list->n + 1) * sizeof(*list->items)));
       list->items[list->n++] = enough(strndup(c, length));

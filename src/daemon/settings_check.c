@@ -153,7 +153,7 @@ static void check_listen(const struct settings *settings, size_t n_tokens,
   if (settings->listen.n == 0)
     settings_fault(faults, true, "listen: at least one address is required");
   if (beyond && settings->token_file == NULL)
-    settings_fault(faults, true, "listen: an address beyond loopback needs a token_file");
+    settings_fault(faults, true, "listen: an address that is not on loopback needs a token_file");
   else if (settings->token_on_loopback != 0 && settings->token_file == NULL)
     settings_fault(faults, true, "token_on_loopback: needs a token_file");
   else if ((beyond || settings->token_on_loopback != 0) && n_tokens == 0 && faults->n_fatal == 0)
@@ -180,12 +180,13 @@ static void check_fleet(const struct settings *settings, size_t n_tokens,
     warn_if_public("fleet_key", settings->fleet_key, &status, faults);
   if (beyond && !has_both)
     settings_fault(faults, true,
-                   "fleet_listen: an address beyond loopback needs fleet_certificate and "
+                   "fleet_listen: an address that is not on loopback needs fleet_certificate and "
                    "fleet_key");
   if (beyond && n_tokens == 0 && faults->n_fatal == 0)
-    settings_fault(faults, true,
-                   "fleet_listen: an address beyond loopback needs a token_file with a token that "
-                   "has the right worker: NAME worker TOKEN");
+    settings_fault(
+        faults, true,
+        "fleet_listen: an address that is not on loopback needs a token_file with a worker "
+        "token: NAME worker TOKEN");
   if (settings->compute == COMPUTE_FLEET && settings->fleet_listen.n == 0)
     settings_fault(faults, true, "compute: \"fleet\" needs fleet_listen, where workers get work");
 }

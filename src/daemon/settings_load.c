@@ -95,7 +95,7 @@ static void read_line(struct settings *settings, const char *file, size_t number
   }
   unsigned *seen = &lines_seen[setting - settings_table];
   if (*seen != 0) {
-    settings_fault(faults, true, "%s:%zu: \"%s\" is set already in line %u", file, number, name,
+    settings_fault(faults, true, "%s:%zu: \"%s\" is already set in line %u", file, number, name,
                    *seen);
     return;
   }
@@ -408,7 +408,8 @@ void settings_print_help(FILE *file)
     fprintf(file, "  %s\n", action_flags[i].name);
     mo_words_wrap(file, 6, action_flags[i].help);
   }
-  fputs("\nSettings: flag before environment variable before file before default. In the file\n"
+  fputs("\nSettings: a flag overrides an environment variable, which overrides the file, which "
+        "overrides the default. In the file\n"
         "--state-dir is state_dir, in the environment MORPHOD_STATE_DIR, and so on.\n\n",
         file);
   settings_print_rows(settings_table, settings_count, file);

@@ -70,7 +70,7 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
     if (error == MO_OK && !agrees) {
       char robot[MO_DEFAULT_ROBOT_DIGITS + 1] = "";
       (void)mo_genotype_robot(samples[i].genotype.workspace, samples[i].genotype.words, robot);
-      printf("a loss of the body %s differs from the one computed again: %.17g is stored\n", robot,
+      printf("a stored loss of body %s differs from the recomputed one: %.17g is stored\n", robot,
              samples[i].loss);
       (*n_differ)++;
     }
@@ -121,7 +121,7 @@ static int check(struct mo_store *store, size_t n, struct mo_message *message)
   if (n > 0)
     error = check_classes(store, n, &n_differ);
   if (error == MO_OK && counts.findings + n_differ > 0)
-    error = mo_fail(message, MO_ERR_CORRUPT, "the store contradicts itself; restore a backup");
+    error = mo_fail(message, MO_ERR_CORRUPT, "the store is inconsistent; restore a backup");
   return error;
 }
 
@@ -175,8 +175,9 @@ static int accept_clock(struct mo_store *store)
   const int error = mo_store_accept_clock(store);
   if (error == MO_OK && gmtime_r(&now, &utc) != NULL &&
       strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S", &utc) > 0)
-    printf("The time %s UTC is accepted. After the next start, jobs are deleted by age again.\n",
-           text);
+    printf(
+        "The time %s UTC was accepted. After the next start, jobs will again be deleted by age.\n",
+        text);
   return error;
 }
 

@@ -62,7 +62,7 @@ static int compare(const struct tokens *tokens, const struct mo_token *token,
                      "duplicate token of \"%s\"; give each line its own token", other->name);
     if (strcmp(other->name, token->name) == 0 && other->right != token->right)
       return mo_fail(message, MO_ERR_INVALID,
-                     "\"%s\" has the right %s already; a name can have only one right", token->name,
+                     "\"%s\" already has the right %s; a name can have only one right", token->name,
                      mo_right_words[other->right]);
   }
   return MO_OK;

@@ -63,7 +63,7 @@ static const struct setting rows[] = {
     ROW("ca", SETTING_PATH, ca, .initial = "", .initial_words = "those of the system",
         .help = "File with the certificates of the authorities to trust."),
     ROW("proxy", SETTING_PATH, proxy, .choices = "URL", .initial = "",
-        .initial_words = "https_proxy, beyond loopback",
+        .initial_words = "https_proxy, except on loopback",
         .help = "Proxy for connections to the daemon."),
     ROW("name", SETTING_PATH, name, .choices = "NAME", .initial = "", .initial_words = "the host's",
         .help = "Name in lists and in the origin of scores."),
@@ -73,15 +73,15 @@ static const struct setting rows[] = {
     ROW("isa", SETTING_CHOICE, isa, .choices = "auto|x86-64|avx2|avx512", .initial = "auto",
         .help = "Instruction set of the kernels; must be the same as the daemon's."),
     ROW("devices", SETTING_LIST, devices, .initial = "auto",
-        .help = "GPUs that compute: auto (all that work), none, or their numbers: 0,1."),
+        .help = "GPUs to use: auto (all that work), none, or their numbers: 0,1."),
     ROW("compute_module", SETTING_PATH, compute_module, .initial = "",
         .initial_words = "morphod-cuda.so of the installation, if it exists",
         .help = "Module that computes on the devices."),
     ROW("leave_when_idle", SETTING_DURATION, leave_when_idle_ms, .max = YEAR_MS, .initial = "0",
         .initial_words = "never", .help = "Leave after this time without work."),
     ROW("until_slurm", SETTING_CHOICE, until_slurm, .choices = "no|yes", .initial = "no",
-        .help = "Leave 30 s before the time limit of the Slurm job that the process belongs to. "
-                "The flag without a value means yes."),
+        .help = "Leave 30 s before the time limit of the process's Slurm job. The "
+                "flag without a value means yes."),
     ROW("give_up", SETTING_DURATION, give_up_ms, .max = YEAR_MS, .initial = "0",
         .initial_words = "never", .help = "Exit when the daemon cannot be reached for this time."),
     ROW("log_level", SETTING_CHOICE, log_level, .choices = "error|warning|info|debug",
@@ -164,11 +164,11 @@ static void print_help(void)
 {
   fputs("Usage: morphod worker --server URL [FLAG]...\nComputes for a daemon on another machine, "
         "with all processors and GPUs that it may use,\nuntil SIGTERM or SIGINT. It stores nothing "
-        "and opens no ports.\n\nA flag comes before its environment variable: --token-file is "
+        "and opens no ports.\n\nA flag overrides its environment variable: --token-file is "
         "MORPHOD_WORKER_TOKEN_FILE, and so on.\n\n",
         stdout);
   settings_print_rows(rows, N_ROWS, stdout);
-  fputs("\nExit status: 0 left as requested; 64 usage; 69 the daemon needs another version or "
+  fputs("\nExit status: 0 left as requested; 64 usage; 69 the daemon requires another version or "
         "class;\n71 system; 75 unreachable (--give-up); 76 wrong bits; 77 token or\n"
         "certificate refused; 78 configuration.\n",
         stdout);
@@ -307,7 +307,7 @@ static int prepare(struct process *process, struct mo_message *message)
       .nice = NICE};
   if (options->name != NULL &&
       (strlen(options->name) > MO_FLEET_NAME_BYTES || strpbrk(options->name, " \t\r\n") != NULL)) {
-    (void)mo_fail(message, MO_ERR_INVALID, "name: must be at most %d bytes, without blanks",
+    (void)mo_fail(message, MO_ERR_INVALID, "name: must be at most %d bytes, without spaces",
                   MO_FLEET_NAME_BYTES);
     return EXIT_CONFIG;
   }

@@ -57,13 +57,13 @@ static const struct mo_field_own workspace = {read_workspace, write_workspace, c
 #define AT(member) offsetof(struct mo_selection, member)
 static const struct mo_field selection_rows[] = {
     {"kind", MO_FIELD_WORD, 0, AT(kind), .words = mo_selection_words, .unit = "",
-     .help = "scheme by which designs survive"},
+     .help = "scheme that decides which designs survive"},
     {"size", MO_FIELD_COUNT, 0, AT(tournament_size), .min = 2, .max = 64, .unit = "designs",
-     .help = "tournament: designs that are drawn for each place"},
+     .help = "tournament: number of designs drawn for each place"},
     {"weight", MO_FIELD_NUMBER, 0, AT(novelty_weight), .min = 0, .max = 1, .unit = "",
-     .help = "novelty: weight of the rank by novelty"},
+     .help = "novelty: weight of the novelty rank"},
     {"layers", MO_FIELD_COUNT, 0, AT(n_layers), .min = 2, .max = 16, .unit = "",
-     .help = "age-layered: layers of age"},
+     .help = "age-layered: number of age layers"},
     {"age_gap", MO_FIELD_COUNT, 0, AT(age_gap), .min = 1, .max = 1000, .unit = "generations",
      .help = "age-layered: age limit of the youngest layer, in generations"},
 };
@@ -98,7 +98,7 @@ static const struct mo_field aggregate_rows[] = {
     {"kind", MO_FIELD_WORD, 0, AT(kind), .words = mo_aggregate_words, .unit = "",
      .help = "how the losses of a design become its score"},
     {"level", MO_FIELD_NUMBER, 0, AT(level), .min = 0, .max = 1, .unit = "",
-     .help = "quantile: its level; cvar: the share of the losses that are not among the worst"},
+     .help = "quantile: its level; cvar: share of the losses that are not among the worst"},
     {"weight", MO_FIELD_NUMBER, 0, AT(weight), .min = 0, .max = 1000, .unit = "",
      .help = "mean-sd: weight of the standard deviation"},
 };
@@ -136,12 +136,12 @@ static const struct mo_field mutation_rows[] = {
      .max = 0.5, .unit = "",
      .help = "probability that a voxel flips (default: one voxel on average)"},
     {"growth", MO_FIELD_NUMBER, 0, AT(mutation_growth), .min = 1, .max = 2, .unit = "",
-     .help = "factor of the rate after an attempt that gave nothing new"},
+     .help = "factor of the rate after an attempt that produced nothing new"},
 };
 static const struct mo_fields mutation_fields = MO_FIELDS(mutation_rows);
 static const struct mo_field campaign_rows[] = {
     {"population", MO_FIELD_COUNT, 0, AT(population), .min = MO_POPULATION_MIN,
-     .max = MO_POPULATION_MAX, .unit = "designs", .help = "designs that live at a time"},
+     .max = MO_POPULATION_MAX, .unit = "designs", .help = "number of living designs"},
     {"generations", MO_FIELD_COUNT, 0, AT(generations), .min = 0, .max = MO_GENERATIONS_MAX,
      .unit = "generations", .help = "generations after the initial population"},
     {"seed", MO_FIELD_SEED, 0, AT(seed), .unit = "", .help = "seed of every random number"},
@@ -150,7 +150,8 @@ static const struct mo_field campaign_rows[] = {
     {"mutation", MO_FIELD_GROUP, 0, 0, .group = &mutation_fields, .unit = "",
      .help = "how designs mutate"},
     {"selection", MO_FIELD_OWN, 0, AT(selection), .group = &selection_kinds.fields,
-     .own = &selection, .unit = "", .help = "who lives: a kind, or an object with its settings"},
+     .own = &selection, .unit = "",
+     .help = "which designs survive: a kind, or an object with its settings"},
     {"racing", MO_FIELD_WORD, 0, AT(racing), .words = mo_racing_words, .unit = "",
      .help = "whether the scores of children that cannot survive are cut short"},
     {"exclude_pretraining", MO_FIELD_FLAG, 0, AT(exclude_pretraining), .unit = "",

@@ -133,9 +133,8 @@ int mo_reading_begin(struct mo_reading *reading)
   start = campaign->has_controller ? use_controller(reading, &campaign->controller_sha256) : NULL;
   if ((campaign->has_controller && (start == NULL || start->sensor != record->settings.sensor)) ||
       (campaign->has_result && use_controller(reading, &campaign->result_sha256) == NULL))
-    return mo_reading_refuse(
-        reading, 1,
-        "the bundle lacks the controller, has it out of order, or has one with another sensor");
+    return mo_reading_refuse(reading, 1,
+                             "the controller is missing, out of order, or has a different sensor");
   summary->campaigns[summary->n] =
       (struct mo_bundle_campaign){.source = campaign->source,
                                   .n_designs = campaign->n_designs,

@@ -91,8 +91,7 @@ static int compare_score(void *context, const struct mo_campaign_score *score)
   struct entry *entry = context;
   const int error = mo_compare_score(entry->import->store, &entry->rows, score);
   if (error == MO_ERR_LIMIT)
-    return mo_fail(entry->message, MO_ERR_FORMAT,
-                   "the scores of a campaign are of too many classes");
+    return mo_fail(entry->message, MO_ERR_FORMAT, "the scores of a campaign have too many classes");
   return error == MO_ERR_CONFLICT ? refuse_score(entry, score->number) : error;
 }
 

@@ -224,7 +224,7 @@ static void read_genotype(struct mo_json *json, void *value)
   genotype->workspace = MO_STORE_WORKSPACE;
   if (mo_genotype_from_text(genotype->workspace, slice.bytes, slice.size, genotype->words, NULL) !=
       MO_OK) {
-    mo_json_fault(json, "144 digits 0 or 1 of a body in one piece are expected");
+    mo_json_fault(json, "expected 144 digits 0 or 1, of a body in one piece");
     return;
   }
   placed = *genotype;

@@ -76,7 +76,7 @@ static int next_campaign(struct mo_reading *reading)
   snprintf(reading->folder, sizeof(reading->folder), "campaigns/%lld/",
            (long long)head->campaigns[reading->summary->n]);
   if (strncmp(reading->member.name, reading->folder, strlen(reading->folder)) != 0)
-    return mo_reading_refuse(reading, 0, "bundle.json lists another campaign here");
+    return mo_reading_refuse(reading, 0, "bundle.json lists a different campaign here");
   reading->part = MO_PART_CAMPAIGN;
   return mo_reading_begin(reading);
 }
@@ -123,8 +123,7 @@ static int read_of_campaign(struct mo_reading *reading)
       (part > MO_PART_ENVIRONMENTS && reading->part < MO_PART_ENVIRONMENTS) ||
       (part > MO_PART_DESIGNS && reading->n_born != reading->campaign.n_designs) ||
       !is_next(reading, part, name))
-    return mo_reading_refuse(reading, 0,
-                             "the member is out of order, or its name is not the expected one");
+    return mo_reading_refuse(reading, 0, "the member is out of order or has an unexpected name");
   reading->part = part;
   if (part < MO_PART_SCORES) /* scores and recordings may be added later */
     mo_text_format(&reading->digest, "%s  %s\n", MO_SHA256_HEX(&reading->member.sha256), name);

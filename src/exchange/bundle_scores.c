@@ -97,7 +97,7 @@ int mo_bundle_scores_add(struct mo_bundle_scores *scores, const struct mo_campai
   struct class *class = class_of(scores, score->fingerprint);
   bool is_new = false, is_same = true;
   if (class == NULL)
-    return mo_fail(message, MO_ERR_FORMAT, "there may be scores of at most %d classes", CLASSES);
+    return mo_fail(message, MO_ERR_FORMAT, "there may be at most %d classes of scores", CLASSES);
   for (uint32_t k = 0; k < score->n; k++) {
     const uint32_t place = score->environments[k];
     if (score->measures != NULL) {

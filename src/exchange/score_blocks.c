@@ -175,7 +175,7 @@ static int read_head(struct reading *reading)
            MO_SCORES_VERSION);
   if (strncmp(member->bytes, expected, strlen(expected)) != 0 ||
       !mo_archive_line(member, &at, &line, &size) || at != member->size)
-    return mo_archive_refuse(member, 0, "unknown version of scores for this program",
+    return mo_archive_refuse(member, 0, "this program does not support this version of scores",
                              reading->message);
   struct mo_json *json = mo_line_begin(lines, line, size);
   if (mo_json_object(json))

@@ -99,7 +99,7 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, si
   } else if (session == NULL) {
     error = mo_fail(message, MO_ERR_NOT_FOUND, "the session is not open; join again");
   } else if (session->state == MO_SESSION_REFUSED) {
-    error = mo_fail(message, MO_ERR_CONFLICT, "session \"%s\" is refused because it %s",
+    error = mo_fail(message, MO_ERR_CONFLICT, "session \"%s\" was refused because it %s",
                     session->offer.name, session->why);
   } else {
     session->heard_ns = now_ns;

@@ -217,7 +217,7 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
   if (error == MO_OK)
     error = admit(fleet, offer, &message);
   if (error == MO_OK && (session->id = draw_id(fleet)) == 0)
-    error = mo_fail(&message, MO_ERR_IO, "the system has no random numbers; try again");
+    error = mo_fail(&message, MO_ERR_IO, "the system could not provide random numbers; try again");
   if (error == MO_ERR_CONFLICT || error == MO_ERR_UNSUPPORTED)
     note_refusal(fleet, offer, now_ns, &message, &after);
   const int64_t id = error == MO_OK ? (int64_t)session->id : error;

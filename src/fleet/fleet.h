@@ -28,7 +28,7 @@ enum mo_session_state {
   MO_SESSION_DRAINING, /* gets no further leases */
   MO_SESSION_REFUSED,  /* returned wrong bits; its later results are ignored */
   MO_SESSION_LEFT,     /* it left */
-  MO_SESSION_LOST      /* its connection ended, or it was silent */
+  MO_SESSION_LOST      /* its connection ended, or it stopped responding */
 };
 extern const char *const mo_session_state_words[]; /* "active", …; ends with NULL */
 

@@ -17,7 +17,7 @@ static void end_silent(struct mo_fleet *fleet, uint64_t now_ns, struct mo_after 
        session = next) {
     next = TAILQ_NEXT(session, all);
     if (now_ns > session->heard_ns && now_ns - session->heard_ns > fleet->silence_ns) {
-      mo_session_end(fleet, session, MO_SESSION_LOST, "it was silent", now_ns, after);
+      mo_session_end(fleet, session, MO_SESSION_LOST, "it stopped responding", now_ns, after);
       continue;
     }
     if (session->state != MO_SESSION_ACTIVE)

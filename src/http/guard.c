@@ -230,13 +230,13 @@ int mo_token_check(const struct mo_token *token, struct mo_message *message)
                    MO_TOKEN_NAME_MAX, name_size);
   if (!is_printable(token->name))
     return mo_fail(message, MO_ERR_INVALID,
-                   "the name may have only printable ASCII characters without blanks");
+                   "the name may have only printable ASCII characters, and no spaces");
   if (size < 16 || size > 512)
     return mo_fail(message, MO_ERR_INVALID, "the token must have 16 to 512 characters, got %zu",
                    size);
   if (!is_printable(token->text))
     return mo_fail(message, MO_ERR_INVALID,
-                   "the token may have only printable ASCII characters without blanks; create a "
+                   "the token may have only printable ASCII characters, and no spaces; create a "
                    "different one");
   return MO_OK;
 }

@@ -95,7 +95,7 @@ static void write_requests(struct mo_http *http, struct mo_text *text)
 {
   struct mo_metrics *metrics = &http->metrics;
   mo_metric_head(text, "morphod_http_requests_total", "counter",
-                 "Requests by route and status; code 0: ended before a reply.");
+                 "Requests by route and status; code 0: ended without a reply.");
   for (size_t r = 0; r <= MO_ROUTES_MAX; r++)
     for (size_t s = 0; s < MO_METRIC_STATUSES; s++) {
       uint64_t n = atomic_load_explicit(&metrics->requests[r][s], memory_order_relaxed);
@@ -152,5 +152,5 @@ void mo_metrics_write(struct mo_http *http, struct mo_text *text)
   GAUGE("morphod_event_streams", atomic_load(&http->streams.n), "Open event streams.");
   COUNTER("morphod_events_sent_total", atomic_load(&m->events_sent), "Events written to streams.");
   COUNTER("morphod_event_streams_dropped_total", atomic_load(&m->streams_dropped),
-          "Event streams closed because their client did not read.");
+          "Event streams closed because the client did not read them.");
 }

@@ -50,7 +50,7 @@ void mo_reply_json(struct mo_request *request, unsigned status, struct mo_text *
 {
   if (text->failed) {
     mo_text_free(text);
-    mo_reply_problem(request, 503, NULL, "Out of memory for the reply; try again later.");
+    mo_reply_problem(request, 503, NULL, "Not enough memory for the reply; try again later.");
     request->reply.retry_after_s = 5;
     return;
   }
@@ -130,7 +130,7 @@ void mo_reply_error(struct mo_request *request, int code, const char *what)
     unsigned status, retry_after_s; /* 0: the default of the status */
     const char *words;
   } errors[] = {
-      {MO_ERR_NOT_FOUND, 404, 0, "There is no such %s."},
+      {MO_ERR_NOT_FOUND, 404, 0, "This %s does not exist."},
       {MO_ERR_CONFLICT, 409, 0, "The state of the %s does not allow this."},
       {MO_ERR_NO_SPACE, 507, 0,
        "The disk of the service is full. Nothing was stored; try again when there is space."},

@@ -154,9 +154,9 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
     code = mo_http_check_certificate(config->certificate, config->key, message);
   if (code == MO_OK && config->n_tokens == 0 &&
       (http->beyond_loopback || config->token_on_loopback))
-    code =
-        mo_fail(message, MO_ERR_INVALID,
-                "an address beyond loopback is served, so at least one bearer token is required");
+    code = mo_fail(
+        message, MO_ERR_INVALID,
+        "an address that is not on loopback is served, so at least one bearer token is required");
   return code;
 }
 
@@ -236,7 +236,7 @@ int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size
   const bool is_closed = http->config.token_if_any && http->tokens.n > 0;
   if (n == 0 && (http->beyond_loopback || http->config.token_on_loopback || is_closed))
     return mo_fail(message, MO_ERR_INVALID,
-                   "at least one bearer token is required; the old tokens stay");
+                   "at least one bearer token is required; the old tokens remain in use");
   return mo_tokens_set(&http->tokens, tokens, n, message);
 }
 

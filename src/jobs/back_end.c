@@ -122,11 +122,11 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, cons
     return MO_OK;
   if (mo_compute_expects_devices(jobs->compute))
     return mo_fail(message, MO_ERR_DEVICE,
-                   "the service has no devices, and no worker with devices has joined it yet; "
+                   "the service has no devices, and no worker with devices has joined yet; "
                    "request \"cpu\" or \"auto\", or start such a worker");
   return mo_fail(message, MO_ERR_DEVICE,
                  "%s; request \"cpu\" or \"auto\", or repair the devices and restart the service",
-                 mo_compute_devices(jobs->compute) > 0 ? "no device works anymore"
+                 mo_compute_devices(jobs->compute) > 0 ? "all devices have failed"
                                                        : "the service has no devices");
 }
 
@@ -162,8 +162,8 @@ void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size)
   uint32_t i = 0;
   if (mo_compute_devices_working(jobs->compute) > 0) {
     snprintf(text, size,
-             "the devices lack memory for even the smallest part of this job; stop other programs "
-             "that use them, then resume the job");
+             "the devices do not have enough memory for even the smallest part of this job; stop "
+             "other programs that use them, then resume the job");
     return;
   }
   while (i < n && mo_compute_device(jobs->compute, i, &status) == MO_OK &&
@@ -175,15 +175,15 @@ void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size)
              "resume the job");
   else if (i == n && mo_compute_expects_devices(jobs->compute))
     snprintf(text, size,
-             "this job needs a worker with devices, and none has joined; start one, then resume "
+             "this job needs a worker with devices, but none has joined; start one, then resume "
              "the job");
   else if (i == n)
     snprintf(text, size,
-             "this job needs devices, and the service has none; start the service with devices, "
+             "this job needs devices, but the service has none; start the service with devices, "
              "then resume the job");
   else
     snprintf(text, size,
-             "no device works anymore (%.40s: %.100s); restart the service, then resume the job",
+             "all devices have failed (%.40s: %.100s); restart the service, then resume the job",
              status.name, status.error);
 }
 

@@ -125,12 +125,13 @@ static void keep(struct mo_exclusion *exclusion)
     (void)malloc_trim(0);
   } else if (error == MO_ERR_LIMIT) {
     warn(exclusion, error,
-         "the bodies of the controller's pretraining take more space than max_excluded and are not "
-         "kept; each campaign redraws them");
+         "the controller's pretraining bodies exceed max_excluded and are not kept; "
+         "each campaign redraws them");
   } else if (error != MO_ERR_CANCELLED && error != MO_ERR_UNSUPPORTED) {
-    warn(exclusion, error,
-         "the bodies of the controller's pretraining cannot be kept in the state folder; the next "
-         "campaign redraws them");
+    warn(
+        exclusion, error,
+        "the controller's pretraining bodies cannot be kept in the state folder; the next campaign "
+        "will redraw them");
   }
 }
 
@@ -174,9 +175,9 @@ static void *open_or_draw(void *context)
   if (error != MO_OK) {
     if (error != MO_ERR_NOT_FOUND)
       warn(exclusion, error,
-           error == MO_ERR_CORRUPT ? "the file with the bodies of the controller's pretraining is "
+           error == MO_ERR_CORRUPT ? "the file with the controller's pretraining bodies is "
                                      "damaged; redrawing them"
-                                   : "the file with the bodies of the controller's pretraining "
+                                   : "the file with the controller's pretraining bodies "
                                      "cannot be read; redrawing them");
     error = draw(exclusion);
   }

@@ -149,7 +149,7 @@ static int restore(struct mo_campaign_run *run)
     return error;
   mo_runner_warn(
       run->runner, error,
-      "a checkpoint within a generation is damaged; the generation repeats its learning");
+      "a checkpoint within a generation is damaged; the generation's learning is repeated");
   run->runner->text[0] = '\0';
   return MO_ERR_NOT_FOUND;
 }

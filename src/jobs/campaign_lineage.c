@@ -115,10 +115,11 @@ static int add_part(const struct reading *reading)
                    " that can be redrawn; submit with exclude_pretraining false",
                    MO_TRAINING_BODIES_MAX);
   if (lineage->n_parts == MO_LINEAGE_PARTS_MAX)
-    return mo_fail(reading->message, MO_ERR_LIMIT,
-                   "the controller's lineage has more than %d pretrainings, so their bodies cannot "
-                   "all be redrawn; submit with exclude_pretraining false",
-                   MO_LINEAGE_PARTS_MAX);
+    return mo_fail(
+        reading->message, MO_ERR_LIMIT,
+        "the controller's lineage has more than %d pretraining runs, so their bodies cannot "
+        "all be redrawn; submit with exclude_pretraining false",
+        MO_LINEAGE_PARTS_MAX);
   lineage->parts[lineage->n_parts++] = part;
   return MO_OK;
 }

@@ -207,7 +207,7 @@ static int explain_extension(int error, struct mo_message *message)
                    "the campaign has failed, was cancelled, or has found every possible design");
   case MO_ERR_DUPLICATE:
     return mo_fail(message, error,
-                   "the idempotency key was used with another request; use a new key");
+                   "the idempotency key was used with a different request; use a new key");
   case MO_ERR_RANGE:
     return mo_fail(message, error,
                    "a campaign may have at most %d generations and %" PRIu64

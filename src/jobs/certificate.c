@@ -382,9 +382,10 @@ static int cut_parts(struct run *run)
     n_rollouts += (uint64_t)run->n_designs * run->trials[t].n_environments;
   }
   if (run->n_trials != run->status.record.n_trials || n_rollouts != run->status.record.n_rollouts)
-    return mo_runner_give_up(run->runner, MO_ERR_UNSUPPORTED,
-                             "another version of the program, with other trials, accepted this "
-                             "certificate; submit it again");
+    return mo_runner_give_up(
+        run->runner, MO_ERR_UNSUPPORTED,
+        "a different version of the program, with different trials, accepted this "
+        "certificate; submit it again");
   run->parts = malloc((run->n_parts + 1) * sizeof(*run->parts));
   if (run->parts == NULL)
     return MO_ERR_NO_MEMORY;

@@ -50,7 +50,7 @@ static int load_population(struct mo_jobs *jobs, struct completion *made,
     return mo_fail(message, error, "the population cannot be read: %s", mo_error_text(error));
   }
   if (request->n_designs == 0)
-    return mo_fail(message, MO_ERR_CONFLICT, "every design of population %lld has diverged", id);
+    return mo_fail(message, MO_ERR_CONFLICT, "every design of population %lld diverged", id);
   request->genotypes = made->population;
   return MO_OK;
 }

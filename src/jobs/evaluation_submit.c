@@ -76,8 +76,8 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
       n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
   if (error == MO_OK && bytes > jobs->config.max_recorded_bytes)
     error = mo_fail(message, MO_ERR_LIMIT,
-                    "the recordings would take %llu bytes, and the limit is %llu; record less, or "
-                    "with a larger stride",
+                    "the recordings would take %llu bytes, but the limit is %llu; record less, or "
+                    "use a larger stride",
                     (unsigned long long)bytes, (unsigned long long)jobs->config.max_recorded_bytes);
   return error;
 }

@@ -100,14 +100,15 @@ int mo_memory_check(const struct mo_jobs *jobs, const struct mo_need *need,
   if (jobs->config.max_memory == 0 || need_alone(need) <= available(jobs))
     return MO_OK;
   if (need->shared == 0)
-    return mo_fail(message, MO_ERR_LIMIT,
-                   "this needs %u MiB of memory, and jobs can have %u MiB; reduce the request, or "
-                   "raise max_memory",
-                   mib(need_alone(need)), mib(available(jobs)));
+    return mo_fail(
+        message, MO_ERR_LIMIT,
+        "this needs %u MiB of memory, but jobs can use only %u MiB; reduce the request, or "
+        "raise max_memory",
+        mib(need_alone(need)), mib(available(jobs)));
   return mo_fail(
       message, MO_ERR_LIMIT,
-      "this needs %u MiB of memory (%u MiB of it for the bodies of the controller's pretraining), "
-      "and jobs can have %u MiB; submit with exclude_pretraining false, or raise max_memory",
+      "this needs %u MiB of memory (%u MiB of it for the controller's pretraining bodies), but "
+      "jobs can use only %u MiB; submit with exclude_pretraining false, or raise max_memory",
       mib(need_alone(need)), mib(need->shared), mib(available(jobs)));
 }
 
@@ -178,27 +179,28 @@ static bool fits(const struct mo_jobs *jobs, struct mo_memory_user *asker)
   if (jobs->config.max_memory == 0)
     return true;
   if (need_alone(need) > available(jobs)) {
-    snprintf(
-        reason, sizeof(asker->reason),
-        "it needs %u MiB of memory, and jobs can have %u MiB; raise max_memory, or cancel the job",
-        mib(need_alone(need)), mib(available(jobs)));
+    snprintf(reason, sizeof(asker->reason),
+             "it needs %u MiB of memory, but jobs can use only %u MiB; raise max_memory, or cancel "
+             "the job",
+             mib(need_alone(need)), mib(available(jobs)));
     return false;
   }
   for (const struct mo_memory_user *other = memory->waiting; other != NULL && other != asker;
        other = other->next)
     if (other->overtaken >= OVERTAKEN_MAX && need_alone(&other->need) <= available(jobs)) {
       snprintf(reason, sizeof(asker->reason),
-               "job %lld has waited longer for memory, and starts first", (long long)other->id);
+               "job %lld has waited longer for memory and starts first", (long long)other->id);
       return false;
     }
   if (in_use_with(memory, need) <= available(jobs))
     return true;
   const uint64_t used = in_use_with(memory, &none),
                  left = used < available(jobs) ? available(jobs) - used : 0;
-  snprintf(reason, sizeof(asker->reason),
-           "it needs %u MiB more memory, and %u of the %u MiB for jobs are free; it starts when "
-           "other jobs end",
-           mib(in_use_with(memory, need) - used), (unsigned)(left / MIB), mib(available(jobs)));
+  snprintf(
+      reason, sizeof(asker->reason),
+      "it needs %u MiB more memory, but only %u of the %u MiB for jobs are free; it starts when "
+      "other jobs end",
+      mib(in_use_with(memory, need) - used), (unsigned)(left / MIB), mib(available(jobs)));
   return false;
 }
 

@@ -98,12 +98,12 @@ static int check_size(const struct mo_evaluation_request *request,
   if (!mo_is_short(rollouts->n_designs, springs, rollouts->n_environments, &rollouts->physics,
                    request->precision))
     return mo_fail(message, MO_ERR_LIMIT,
-                   "these rollouts would take more than about a second of a core; submit an "
+                   "these rollouts would take more than about one core-second; submit an "
                    "evaluation instead");
   if (bytes > RECORDED_MAX)
     return mo_fail(
         message, MO_ERR_LIMIT,
-        "the recording would take %llu bytes, and the limit is %llu; record with a larger stride",
+        "the recording would take %llu bytes, but the limit is %llu; use a larger stride",
         (unsigned long long)bytes, (unsigned long long)RECORDED_MAX);
   return MO_OK;
 }
@@ -146,13 +146,14 @@ static int check_states(const struct mo_evaluation_request *request,
     if (!mo_genotype_equal(&start->robot, &design->genotype))
       return mo_fail(
           message, MO_ERR_CONFLICT,
-          "state %u belongs to another robot than design %u; to start a new robot, omit states", i,
-          i / n_environments);
+          "state %u belongs to a different robot than design %u; to start a new robot, omit states",
+          i, i / n_environments);
     if (start->state.step != states->from[0].state.step)
-      return mo_fail(message, MO_ERR_CONFLICT,
-                     "state %u has another time_s than state 0; send states of different times in "
-                     "separate requests",
-                     i);
+      return mo_fail(
+          message, MO_ERR_CONFLICT,
+          "state %u has a different time_s than state 0; send states with different times in "
+          "separate requests",
+          i);
     if (mo_state_check(&start->state, design->body, &rollouts->environments[i % n_environments],
                        &rollouts->physics, request->precision, &why) != MO_OK)
       return mo_fail(message, MO_ERR_CONFLICT, "cannot start from state %u: %.200s", i, why.text);
@@ -257,7 +258,7 @@ static int find_controller(struct mo_jobs *jobs, const char *name, struct mo_sha
   if (error == MO_ERR_NOT_FOUND)
     return mo_fail(message, error, "controller \"%s\" does not exist", name);
   if (error == MO_OK && !mo_workspace_equal(stored.workspace, jobs->lattice->workspace))
-    return mo_fail(message, MO_ERR_UNSUPPORTED, "the controller is for another workspace");
+    return mo_fail(message, MO_ERR_UNSUPPORTED, "the controller is for a different workspace");
   *sha256 = stored.sha256;
   if (error == MO_OK && mo_physics_complete(physics, stored.control_period_s) != MO_OK)
     return mo_fail(message, MO_ERR_RANGE,

@@ -78,7 +78,7 @@ static int explain(int error, const struct mo_telling_reply *reply,
                    status->told == reply->next ? "still being scored" : "the next one");
   case MO_TELLING_OTHER:
     return mo_fail(message, error,
-                   "batch %u was told before with different content; the next batch is %u", number,
+                   "batch %u was already sent with different content; the next batch is %u", number,
                    (unsigned)(number < reply->next ? reply->next : number + 1));
   case MO_TELLING_ENDED: return mo_fail(message, error, "the study has ended");
   case MO_TELLING_PARENT:
@@ -230,7 +230,7 @@ int mo_jobs_ask(struct mo_jobs *jobs, int64_t id, const struct mo_ask *ask, stru
     return mo_fail(message, MO_ERR_CONFLICT, "the study has ended");
   if (status.n_designs > MO_COLUMNS_MAX) /* all of them are read, and their forms kept */
     return mo_fail(message, MO_ERR_LIMIT,
-                   "a study with more than %lld designs cannot be asked for bodies",
+                   "a study with more than %lld designs cannot return bodies",
                    (long long)MO_COLUMNS_MAX);
   if (status.told > status.generation)
     return mo_fail(message, MO_ERR_CONFLICT, "batch %lld is still being scored",

@@ -15,9 +15,9 @@ static int explain(int error, const char *controller, struct mo_message *message
     return mo_fail(message, error, "controller \"%.80s\" does not exist", controller);
   case MO_ERR_CONFLICT:
     return mo_fail(message, error,
-                   "the idempotency key was used with another request; use a new key");
+                   "the idempotency key was used with a different request; use a new key");
   case MO_ERR_UNSUPPORTED:
-    return mo_fail(message, error, "controller \"%.80s\" is for another workspace", controller);
+    return mo_fail(message, error, "controller \"%.80s\" is for a different workspace", controller);
   case MO_ERR_RANGE:
     return mo_fail(message, error,
                    "the control period of controller \"%.80s\" must be a whole multiple of "

@@ -44,7 +44,7 @@ static int load_population(struct mo_jobs *jobs, const struct mo_training_reques
     return mo_fail(message, error, "the population cannot be read: %s", mo_error_text(error));
   }
   if (*n == 0)
-    return mo_fail(message, MO_ERR_CONFLICT, "every design of population %lld has diverged",
+    return mo_fail(message, MO_ERR_CONFLICT, "every design of population %lld diverged",
                    population);
   if (*n > MO_TRAINING_DESIGNS_MAX) /* the population of a campaign */
     return mo_fail(message, MO_ERR_RANGE,

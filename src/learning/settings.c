@@ -141,6 +141,6 @@ int mo_training_settings_check(const struct mo_training_settings *settings,
   if (error == MO_OK)
     error = mo_physics_check_in(&settings->physics, NULL, &settings->learning.vary, &why);
   if (error != MO_OK && why.text[0] != '\0')
-    return mo_fail(message, error, "vary makes constants that are out of range: %.180s", why.text);
+    return mo_fail(message, error, "vary puts constants out of range: %.180s", why.text);
   return error != MO_OK ? error : check_together(settings, message);
 }

@@ -55,7 +55,7 @@ void mo_course_off_path(const struct mo_course *course, const struct mo_track *t
     off_m[axis] = track->com_m[axis] - (from[axis] + along * track->facing[axis]);
 }
 
-/* Advances the progress to the center of mass: past the way-points that it has reached, then along
+/* Advances the progress to the center of mass: past the waypoints that it has reached, then along
  * the leg. */
 static void make_progress(const struct mo_course *course, struct mo_track *track)
 {
@@ -168,7 +168,7 @@ void mo_course_begin(struct mo_course *course, const struct mo_environment *envi
   else if (guide->kind == MO_GUIDE_PATH)
     face(course, track);
   aim(course, 0, track);
-  track->before_m = -track->along_m; /* progress is 0 at the start, even if it reaches way-points */
+  track->before_m = -track->along_m; /* progress is 0 at the start, even if it reaches waypoints */
   track->tally.peak_m = -(double)INFINITY;
   course->scale_m = mo_objective_scale(environment->task.objective);
   if (environment->task.objective == MO_OBJECTIVE_EFFICIENT ||

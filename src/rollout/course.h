@@ -35,7 +35,7 @@ struct mo_track {
   double length_m;  /* path: of this leg */
   double before_m;  /* path: progress at the start of this leg */
   double along_m;   /* path: the farthest place on this leg that the body has reached */
-  uint32_t leg;     /* path: number of way-points that the body has reached */
+  uint32_t leg;     /* path: number of waypoints that the body has reached */
   enum {
     MO_TRACK_KEPT,  /* along_m is that of the previous instant */
     MO_TRACK_MOVED, /* it changes with the center of mass at this instant */

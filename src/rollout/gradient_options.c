@@ -34,7 +34,7 @@ static const struct mo_field rows[] = {
      .help = "above the bound: clip, or restart the backward pass"},
     {"restart_weight", MO_FIELD_NUMBER, 0, AT(restart_weight), .min = 0,
      .max = MO_RESTART_WEIGHT_MAX, .unit = "",
-     .help = "restart: weight of what the adjoint restarts with, next to that of a rollout's end; "
+     .help = "restart: weight of what the adjoint restarts with, relative to the end of a rollout; "
              "0: none"},
 };
 const struct mo_fields mo_gradient_fields = MO_FIELDS(rows);

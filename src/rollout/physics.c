@@ -139,7 +139,7 @@ static const struct mo_field rows[] = {
      .unit = "steps", .help = "length of a rollout"},
     {"control_period_s", MO_FIELD_NUMBER, 0, AT(scheme.control_period_s), .min = 0,
      .max = MO_CONTROL_PERIOD_MAX_S, .since = 2, .unit = "s",
-     .help = "time for which the controller's outputs are held; 0: as its file says"},
+     .help = "time for which the controller's outputs are held; 0: as in its file"},
     {"stiffness_n_per_m", MO_FIELD_NUMBER, 0, AT(constants.stiffness_n_per_m), .min = 0, .max = 1e9,
      .unit = "N/m", .help = "stiffness of every spring"},
     {"mass_kg", MO_FIELD_NUMBER, 0, AT(constants.mass_kg), .min = 1e-6, .max = 1e6, .unit = "kg",

@@ -161,7 +161,7 @@ static int check_tally(const struct mo_state *s, const struct mo_environment *en
     good = good && t->leg < (n_points > 0 ? n_points : 1);
   return good ? MO_OK
               : mo_fail(message, MO_ERR_RANGE,
-                        "its tally is not possible in a rollout; send the state back unchanged");
+                        "its tally cannot occur in a rollout; send the state back unchanged");
 }
 
 int mo_window_check(const struct mo_state *state, const struct mo_body *body,
@@ -183,28 +183,27 @@ int mo_window_check(const struct mo_state *state, const struct mo_body *body,
                    "its time must be above 0 and at most %g s; start again without a state",
                    MO_STATE_TIME_MAX_S);
   if (s->precision != precision)
-    return mo_fail(message, MO_ERR_INVALID,
-                   "it is of a rollout in %s; request that precision, or start without a state",
-                   s->precision == MO_FLOAT64 ? "float64" : "float32");
+    return mo_fail(
+        message, MO_ERR_INVALID,
+        "it comes from a rollout in %s; request that precision, or start without a state",
+        s->precision == MO_FLOAT64 ? "float64" : "float32");
   if (!is_same(s->physics_key, here.physics_key))
-    return mo_fail(message, MO_ERR_INVALID,
-                   "its physics differ from those of this request, of which only n_steps and "
-                   "drop_height_m may change, and the control period of the controller must not; "
-                   "start without a state");
+    return mo_fail(
+        message, MO_ERR_INVALID,
+        "its physics differ from those of this request; only n_steps and drop_height_m may change, "
+        "and the controller's control period must be the same; start without a state");
   if (!is_same(s->terrain_key, here.terrain_key))
     return mo_fail(message, MO_ERR_INVALID,
                    "its terrain or factors differ from those of the environment; only the light, "
-                   "the task, the damage and drop_m may change: start without a state in a new "
-                   "world");
+                   "the task, the damage and drop_m may change; start a new world without a state");
   const int status = check_numbers(s, message);
   if (status != MO_OK)
     return status;
   const bool goes_on = is_same(s->task_key, here.task_key);
   if (goes_on && (observations & ~s->tally.observed) != 0)
-    return mo_fail(
-        message, MO_ERR_INVALID,
-        "its tally lacks numbers that the measures of this rollout need; send the state back "
-        "unchanged, and measure the same in every window");
+    return mo_fail(message, MO_ERR_INVALID,
+                   "its tally lacks numbers that the measures of this rollout need; send the state "
+                   "back unchanged, and request the same measures in every window");
   return check_tally(s, environment, goes_on, message);
 }
 

@@ -71,8 +71,8 @@ bool mo_atlas_is_of_store(const struct mo_atlas *atlas, struct mo_message *messa
   if (mo_workspace_equal(own, its))
     return true;
   (void)mo_fail(message, MO_ERR_UNSUPPORTED,
-                "the atlas has bodies of a workspace of %u × %u × %u voxels, and this service's "
-                "has %u × %u × %u: read the file with the Python package",
+                "the atlas is for a workspace of %u × %u × %u voxels, but this service has "
+                "%u × %u × %u; read the file with the Python package",
                 its.nx, its.ny, its.nz, own.nx, own.ny, own.nz);
   return false;
 }

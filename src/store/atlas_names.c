@@ -60,7 +60,7 @@ int mo_atlas_name_find(const struct mo_store *store, struct mo_connection *conne
                    (long long)id, name);
   return is_there
              ? mo_fail(message, MO_ERR_CONFLICT,
-                       "an atlas \"%.64s\" exists already; choose another name, or delete it", name)
+                       "an atlas \"%.64s\" already exists; choose another name, or delete it", name)
              : MO_OK;
 }
 

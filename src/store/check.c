@@ -178,7 +178,7 @@ static const struct part {
     {"an environment is damaged: environments, row", "SELECT id,data,sha256 FROM environments",
      check_environment},
     {"physics are damaged: physics, row", "SELECT id,encoding,sha256 FROM physics", check_physics},
-    {"the environments of a condition contradict each other: conditions, row",
+    {"the environments of a condition are inconsistent: conditions, row",
      "SELECT v.condition,v.position,v.environment,c.environments FROM condition_environments v"
      " JOIN conditions c ON c.id=v.condition",
      check_member},

@@ -91,7 +91,8 @@ static const struct mo_field campaign_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_aggregate_fields},
     {"re_evaluate", MO_FIELD_OWN, 0, AT(re_evaluate), .group = &mo_re_evaluation_fields,
      .own = &mo_re_evaluation_field, .unit = "",
-     .help = "scores of the best designs in fresh worlds, which select nothing; null: none"},
+     .help =
+         "scores of the best designs in fresh worlds, which do not affect selection; null: none"},
 };
 const struct mo_fields mo_campaign_record_fields = MO_FIELDS(campaign_rows);
 const char *const mo_worlds_words[] = {"random", "environments", "tasks", NULL};

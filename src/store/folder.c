@@ -74,8 +74,8 @@ static int check_folder(int fd, const char *path, struct stat *status, struct mo
   else if (error == MO_OK && (status->st_mode & (S_IWGRP | S_IWOTH)) != 0)
     error = mo_fail(
         message, MO_ERR_INVALID,
-        "others can write to the state folder %s of uid %u (mode %04o); run chmod go-w on it", path,
-        (unsigned)status->st_uid, (unsigned)status->st_mode & 07777);
+        "other users can write to the state folder %s of uid %u (mode %04o); run chmod go-w on it",
+        path, (unsigned)status->st_uid, (unsigned)status->st_mode & 07777);
   for (size_t i = 0; i < sizeof(file_names) / sizeof(file_names[0]) && error == MO_OK; i++)
     error = check_entry(fd, path, file_names[i], S_IFREG, message);
   for (size_t i = 0; i < sizeof(folder_names) / sizeof(folder_names[0]) && error == MO_OK; i++)
@@ -121,7 +121,7 @@ int mo_state_folder_open(const char *path, char **real, struct mo_message *messa
 static int refuse_lock(const char *path, struct mo_message *message)
 {
   if (errno == EWOULDBLOCK)
-    return mo_fail(message, MO_ERR_BUSY, "another process uses the state folder %s", path);
+    return mo_fail(message, MO_ERR_BUSY, "another process is using the state folder %s", path);
   return mo_fail(message, MO_ERR_IO, "cannot lock the state folder %s: %s", path,
                  strerrordesc_np(errno));
 }

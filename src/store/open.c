@@ -55,11 +55,12 @@ static off_t size_of(const struct mo_store *store, const char *ending)
 static int refuse_without_database(const struct mo_store *store, struct mo_message *message)
 {
   const bool has_files = store->orphans.n > 0;
-  return mo_fail(message, MO_ERR_CONFLICT,
-                 "the state folder has lost its database: morphod.db is missing or empty next to "
-                 "data files, such as"
-                 " %.48s; mount or restore it, or move them away to start with an empty one: %s",
-                 has_files ? store->orphans.first : "morphod.db-wal", store->path);
+  return mo_fail(
+      message, MO_ERR_CONFLICT,
+      "the state folder has lost its database: morphod.db is missing or empty, although there are "
+      "data files such as %.48s; mount or restore it, or move them away to start with an empty "
+      "one: %s",
+      has_files ? store->orphans.first : "morphod.db-wal", store->path);
 }
 
 /* Checks that the database is not missing, before anything is created or removed. A first start
@@ -163,10 +164,11 @@ static int use_log(const struct mo_store *store, struct mo_connection *writer,
     return error;
   if (strcmp(mode, "wal") == 0)
     return MO_OK;
-  return mo_fail(message, MO_ERR_UNSUPPORTED,
-                 "the file system of %s cannot hold the database, because SQLite's write-ahead log "
-                 "needs shared memory, which network file systems lack; use a local disk",
-                 store->path);
+  return mo_fail(
+      message, MO_ERR_UNSUPPORTED,
+      "the database cannot be on the file system of %s, because SQLite's write-ahead log "
+      "needs shared memory, which network file systems lack; use a local disk",
+      store->path);
 }
 
 struct header {
@@ -281,10 +283,10 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
   if (header.version == 0 && header.tables == 0 && store->orphans.n > 0)
     return refuse_without_database(store, message);
   if (header.version == 0 && header.tables > 0)
-    return mo_fail(
-        message, MO_ERR_UNSUPPORTED,
-        "%s has tables but no schema number, so another program changed it; restore a backup",
-        store->database_path);
+    return mo_fail(message, MO_ERR_UNSUPPORTED,
+                   "%s has tables but no schema number, so another program must have changed it; "
+                   "restore a backup",
+                   store->database_path);
   if (header.version > NEWEST_SCHEMA || header.version < 0)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
                    "%s has schema %lld, but this program supports schemas up to %d; use the newer "

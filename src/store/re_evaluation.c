@@ -20,8 +20,8 @@ static const struct mo_field rows[] = {
      .unit = "generations", .help = "generations from one re-evaluation to the next"},
     {"environments", MO_FIELD_COUNT, 0, AT(environments), .min = 2,
      .max = MO_CERTIFICATE_HELD_OUT_MAX, .unit = "environments",
-     .help = "fresh worlds, new ones for each re-evaluation; for a task of the suite, its held-out "
-             "ones"},
+     .help = "number of fresh worlds, drawn for each re-evaluation; for a task of the suite, its "
+             "held-out ones"},
     {"designs", MO_FIELD_COUNT, 0, AT(designs), .min = 1, .max = MO_ELITE_BEST_MAX,
      .unit = "designs", .help = "best designs that are re-evaluated, in addition to the champions"},
 };

@@ -41,7 +41,7 @@ static int import_condition(struct mo_store *store, struct entry *entry, uint32_
   int error = mo_controller_find(writer, name, &entry->conditions[place][0], &sensor, NULL);
   if (error == MO_ERR_NOT_FOUND)
     return mo_fail(entry->message, MO_ERR_INVALID,
-                   "the controller %s is not stored here, but in an earlier block of the file; "
+                   "the controller %s is not stored here but is in an earlier block of the file; "
                    "send the file from its start, or store the controller first",
                    name);
   if (error == MO_ERR_UNSUPPORTED || (error == MO_OK && sensor != condition->sensor))

@@ -90,13 +90,13 @@ static int warn_of_generation(struct mo_connection *connection, struct mo_job *j
     warn_of_robots(job, "generation", last.generation, last.stats.n_diverged, last.stats.n);
   else if (error == MO_OK && found && last.stats.n_diverged > last.stats.n / 2)
     warn(job, "no_measure",
-         "%u of %u designs of generation %u have no value of %s, or diverged; they rank last",
+         "%u of %u designs of generation %u have no value of %s or diverged; they rank last",
          (unsigned)last.stats.n_diverged, (unsigned)last.stats.n, (unsigned)last.generation,
          mo_measure_info[record->select_by.measure].name);
   if (error == MO_OK)
     error = mo_sql_row(connection, &row, sql, mo_int(job->id));
   if (error == MO_OK && sqlite3_column_int(row, 0) == MO_CAMPAIGN_EXHAUSTED)
-    warn(job, "exhausted", "it ended at generation %lld of %u because no unseen body is left",
+    warn(job, "exhausted", "it ended at generation %lld of %u because no unseen bodies are left",
          (long long)sqlite3_column_int64(row, 1), (unsigned)job->steps_total);
   return error;
 }
@@ -121,7 +121,7 @@ static uint32_t warn_of_dt(const struct mo_physics *physics, const char *where,
   *warning = (struct mo_warning){.code = "unstable_step", .of_request = true};
   /* Moving bodies fail a little below the bound (docs/numerics.md, "Stable steps"). */
   snprintf(warning->detail, sizeof(warning->detail),
-           "dt_s %.6g is beyond the linear stability bound of %.3g for stiffness_n_per_m %.6g, "
+           "dt_s %.6g exceeds the linear stability bound of %.3g for stiffness_n_per_m %.6g, "
            "mass_kg %.6g, drag_per_s %.6g%s and integrator %s: expect bodies to blow up; use a "
            "dt_s of at most %.2g",
            physics->scheme.dt_s, stable_s, constants->stiffness_n_per_m, constants->mass_kg,
@@ -140,9 +140,8 @@ static uint32_t warn_of_every_step(const struct mo_physics *physics, struct mo_w
     return 0;
   *warning = (struct mo_warning){.code = "every_step", .of_request = true};
   snprintf(warning->detail, sizeof(warning->detail),
-           "without a control period, the controller acts in every step of %.6g s; if it was "
-           "made for the paper's steps of 0.004 s, use \"physics\": \"paper\", or set "
-           "control_period_s",
+           "without a control period, the controller acts at every step of %.6g s; if it was made "
+           "for the paper's steps of 0.004 s, use \"physics\": \"paper\", or set control_period_s",
            scheme->dt_s);
   return 1;
 }
@@ -227,7 +226,7 @@ static int warn_of_worlds(struct mo_connection *connection, struct mo_job *job, 
        "the light of environment %u is %.2f m from the middle of the workspace%s; a robot that "
        "starts next to it has a very large loss, because losses are divided by the starting "
        "distance",
-       (unsigned)nearest, nearest_m, n > 1 ? ", and other lights are near it as well" : "");
+       (unsigned)nearest, nearest_m, n > 1 ? ", and so are other lights" : "");
   job->warnings[job->n_warnings - 1].of_request = true;
   return error;
 }

@@ -48,7 +48,7 @@ int mo_kept_weights_add(struct mo_kept_weights *weights, const struct mo_sha256 
   if (error != MO_OK)
     return error;
   if (!mo_workspace_equal(made.controller->workspace, workspace))
-    error = mo_fail(message, MO_ERR_FORMAT, "the weights are for another workspace");
+    error = mo_fail(message, MO_ERR_FORMAT, "the weights are for a different workspace");
   if (error == MO_OK)
     error = mo_compute_controller_create(weights->compute, made.controller, &made.prepared);
   if (error != MO_OK) {

@@ -370,7 +370,7 @@ static void take_orders(struct mo_worker *worker, const struct mo_link_reply *re
     mo_holding_drop(worker->holding, &orders.dropped[i]);
   if (orders.state == MO_SESSION_REFUSED)
     finish(worker, MO_WORKER_REFUSED,
-           "the daemon refuses this session because it returned wrong bits");
+           "the daemon refused this session because it returned wrong bits");
   else if (orders.state == MO_SESSION_DRAINING && !worker->is_draining) {
     memcpy(worker->wanted, orders.wanted, sizeof(worker->wanted));
     drain(worker, DRAIN_MS,

@@ -5,7 +5,7 @@
 
 const struct mo_measure_info mo_measure_info[MO_MEASURES] = {
     {"displacement_m", "m", "Horizontal distance of the center of mass, from start to end.", 1e6},
-    {"path_length_m", "m", "Horizontal way of the center of mass.", 1e6},
+    {"path_length_m", "m", "Length of the horizontal path of the center of mass.", 1e6},
     {"mean_speed_m_per_s", "m/s", "Path length over the time of the rollout.", 1e6},
     {"straightness", "", "Displacement over path length.", 1e6},
     {"heading_error_rad", "rad", "Angle from the direction to the light to the displacement.", 1e6},
@@ -23,7 +23,8 @@ const struct mo_measure_info mo_measure_info[MO_MEASURES] = {
     {"work_j", "J", "Positive work of the actuators on the springs.", 1e3},
     {"cost_of_transport", "", "Work over weight and path length.", 1e6},
     {"peak_strain", "", "Largest strain of a spring.", 1e6},
-    {"inverted_voxels", "", "Most voxels that are inside out at two instants in a row.", 1},
+    {"inverted_voxels", "",
+     "Largest number of voxels that are inside out at two consecutive instants.", 1},
 };
 
 double mo_measure_round(unsigned measure, double value)

@@ -129,7 +129,7 @@ static int check_terms(const struct mo_task *task, struct mo_message *message)
     const double weight = task->weights[i];
     if (i >= n) {
       if (term != 0 || weight != 0)
-        return mo_fail(message, MO_ERR_INVALID, "what a sum does not use must be 0");
+        return mo_fail(message, MO_ERR_INVALID, "members that a sum does not use must be 0");
       continue;
     }
     const char *name = mo_term_name(term);
@@ -299,7 +299,8 @@ int mo_task_check(const struct mo_task *task, struct mo_message *message)
   /* So that equal tasks have equal hashes. */
   const struct mo_guide used = used_of(guide);
   if (!guides_are_equal(&used, guide))
-    return mo_fail(message, MO_ERR_INVALID, "what a guide of kind %s does not use must be 0",
+    return mo_fail(message, MO_ERR_INVALID,
+                   "members that a guide of kind %s does not use must be 0",
                    mo_guide_words[guide->kind]);
   return MO_OK;
 }

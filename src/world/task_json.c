@@ -69,14 +69,14 @@ static const struct mo_field rows[] = {
     {"distance_m", MO_FIELD_NUMBER, 0, AT(task.guide.distance_m), .min = MO_GUIDE_DISTANCE_MIN_M,
      .max = MO_GUIDE_DISTANCE_MAX_M, .unit = "m", .help = "how far ahead the light is"},
     {"points_m", MO_FIELD_OWN, 0, AT(task.guide), .own = &points, .unit = "m",
-     .help = "the way-points of the path"},
+     .help = "the waypoints of the path"},
     {"light_xy_m", MO_FIELD_NUMBERS, 0, AT(light_xy_m), .n = 2, .min = -MO_LIGHT_LIMIT_M,
      .max = MO_LIGHT_LIMIT_M, .unit = "m", .help = "where the light is at the start"},
     {"velocity_m_per_s", MO_FIELD_NUMBERS, 0, AT(task.guide.velocity_m_per_s), .n = 2,
      .min = -MO_GUIDE_SPEED_MAX_M_PER_S, .max = MO_GUIDE_SPEED_MAX_M_PER_S, .unit = "m/s",
      .help = "of the light, or of center_m"},
     {"center_m", MO_FIELD_NUMBERS, 0, AT(task.guide.center_m), .n = 2, .min = -MO_LIGHT_LIMIT_M,
-     .max = MO_LIGHT_LIMIT_M, .unit = "m", .help = "what the light circles, at the start"},
+     .max = MO_LIGHT_LIMIT_M, .unit = "m", .help = "center of the light's circle, at the start"},
 };
 #undef AT
 static const struct mo_fields guide_fields = MO_FIELDS(rows);
@@ -118,7 +118,7 @@ static void read_points(struct mo_json *json, void *value)
       mo_json_skip(json);
   }
   if (!json->stop && (n < 1 || n > MO_GUIDE_POINTS_MAX))
-    mo_json_fault_at(json, depth, "", "must have 1 to %d way-points, [x, y] each, got %u",
+    mo_json_fault_at(json, depth, "", "must have 1 to %d waypoints, [x, y] each, got %u",
                      MO_GUIDE_POINTS_MAX, n);
   guide->n_points = n;
 }
@@ -218,11 +218,13 @@ static void read_term(struct mo_json *json, struct mo_json_slice key, struct mo_
   bool is_measure = false;
   for (int m = 0; m < MO_MEASURES; m++)
     is_measure = is_measure || mo_json_is(key, mo_measure_info[m].name);
-  mo_json_fault(json, "%s; the terms are %s",
-                is_measure ? "cannot be weighed, because it may have no value or is good on "
-                             "neither side of 0"
-                           : "neither an objective nor a measure",
-                text.failed ? "others" : text.data);
+  mo_json_fault(
+      json, "%s; the terms are %s",
+      is_measure
+          ? "cannot be weighted, because it may have no value, or neither larger nor smaller "
+            "values are better"
+          : "neither an objective nor a measure",
+      text.failed ? "others" : text.data);
   mo_text_free(&text);
   mo_json_skip(json);
 }

@@ -56,7 +56,7 @@ int mo_environment_check_vary(const struct mo_environment *environment,
                    degrees, MO_HEIGHT_LIMIT_M);
   if (drop_m > MO_DROP_MAX_M)
     return mo_fail(message, MO_ERR_RANGE,
-                   "the sum of drop_m (%g) and the largest that is drawn must be at most %g m, "
+                   "the sum of drop_m (%g) and the largest drawn drop must be at most %g m, "
                    "got %.9g",
                    environment->drop_m, MO_DROP_MAX_M, drop_m);
   return MO_OK;

@@ -29,7 +29,7 @@ RULES = [
     r"(campaign|evaluation|training|controller|design) .*does not exist",
     r"a parent is the number of a design",
     r"at most \d+ different words of this kind",
-    r"the key was used with another body",
+    r"the key was used with a different body",
     r"no controller",
     r"controller .* is not stored",
     # Several fields of one request.

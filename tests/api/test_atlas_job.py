@@ -281,7 +281,7 @@ def test_names(service):
         "atlas"]["name"] == "paper-test-1-canonical"
     reply = service.request("POST", "/v1/atlases", value | {"name": "walk-1"})
     assert reply.status == 409 and reply.pointers() == ["/name"]
-    assert "exists already; choose another name" in reply.json()["detail"]
+    assert "already exists; choose another name" in reply.json()["detail"]
 
 
 def test_a_name_in_use(service):

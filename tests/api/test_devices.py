@@ -574,7 +574,7 @@ def test_refused_at_the_start(flags, environment, words):
 
 def test_without_what_auto_looks_for(start):
     service = start(f"--compute-module={MODULE}", "--devices=auto", environment=fake(devices=0))
-    assert service.log_text().count("no devices found; using the processors") == 1
+    assert service.log_text().count("no devices found; using the CPU") == 1
     assert devices(service)["items"] == []
     service = start(*FLAGS, environment=fake(devices=2, full=0))  # others use all of its memory
     assert [device["index"] for device in devices(service)["items"]

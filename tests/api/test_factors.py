@@ -408,7 +408,7 @@ def test_custom_grids(service):
     ({"mass": 1}, "/vary/mass", "array"),
     ({"slip": [0, 1]}, "/vary/slip", "friction"),
     ({"friction": [1.2, 0.3]}, "", "vary.friction must be [lowest, highest], got [1.2, 0.3]"),
-    ({"actuation": [1, 5]}, "", "vary makes constants that are out of range: actuation"),
+    ({"actuation": [1, 5]}, "", "vary puts constants out of range: actuation"),
 ])
 def test_ranges_are_refused(service, vary, pointer, says):
     for kind, value in (("trainings", {"kind": "pretrain", "vary": vary}),

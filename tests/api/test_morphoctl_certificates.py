@@ -83,7 +83,7 @@ def test_without_waiting(service, ctl, certified):
     status, out, err = ctl(f"certify {path} {SMALL}")
     assert status == 0 and re.fullmatch(r"\d+\n", out)
     job = out.strip()
-    assert err == (f"certificate {job} is accepted: 4 designs, 6 trials, 320 rollouts; morphoctl "
+    assert err == (f"certificate {job} accepted: 4 designs, 6 trials, 320 rollouts; morphoctl "
                    f"watch {job}\n")
     assert ctl(f"watch {job}")[0] == 0
     row = next(line for line in ctl("certificate list --label certified")[1].splitlines()

@@ -215,7 +215,7 @@ def test_campaign_from_start_to_export(service, ctl, tmp_path):
     assert status == 0, err
     assert re.findall(r"generation (\d) of 3  mean \d\.\d{4}  best ", out) == ["0", "1", "2",
                                                                                "3"], out
-    campaign = re.match(r"campaign (\d+) is accepted: zero-shot, 6 designs, 3 generations", err)[1]
+    campaign = re.match(r"campaign (\d+) accepted: zero-shot, 6 designs, 3 generations", err)[1]
     reported = service.request("GET", f"/v1/campaigns/{campaign}").json()
     assert reported["label"] == "by hand" and reported["settings"]["workspace"] == [5, 5, 3]
     assert reported["settings"]["selection"] == {"kind": "tournament", "size": 2

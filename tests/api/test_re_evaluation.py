@@ -242,7 +242,7 @@ def test_tables(service, made):
 @pytest.mark.parametrize("value, pointer, words", [
     (CAMPAIGN | {"environments": PLACES, "re_evaluate": {}}, "/re_evaluate", "no fresh worlds: "),
     (CAMPAIGN | {"environments": "morpho-12-walk-held-out", "re_evaluate": {}}, "/re_evaluate",
-     "held-out set already"),
+     "already a held-out set"),
     (WALK | {"re_evaluate": {"environments": 65}}, "/re_evaluate/environments", "at most 64"),
     (CAMPAIGN | {"re_evaluate": {"every": 0}}, "/re_evaluate/every", "1 to"),
     (CAMPAIGN | {"re_evaluate": {"environments": 1}}, "/re_evaluate/environments", "2 to 1024"),

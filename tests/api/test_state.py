@@ -422,8 +422,8 @@ def test_a_clock_that_is_not_credible(start, tmp_path):
         service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 3}})
         service.stop()
     done = morphod(state, "store", "accept-clock")
-    assert done.returncode == 0 and "UTC is accepted" in done.stdout, done
+    assert done.returncode == 0 and "UTC was accepted" in done.stdout, done
     service = start(*flags, state=state)
     until(lambda: service.request("GET", f"/v1/jobs/{id}").status == 404)
-    until(lambda: "jobs were deleted because of their age jobs=1" in service.log_text())
+    until(lambda: "old jobs were deleted jobs=1" in service.log_text())
     assert service.request("GET", "/healthz").json()["notice"] is None

@@ -190,7 +190,7 @@ def test_no_token_in_the_log(service, tokens):
     service.request("GET", f"/v1/jobs?token={TOKENS['read']}", headers=as_("read"))
     write(tokens, f"eve read {TOKENS['read']}\nsam write {wrong}\n")
     service.process.send_signal(1)
-    while "reload refused" not in service.log_text():
+    while "reload failed" not in service.log_text():
         pass
     log = service.log_text()
     assert all(secret not in log for secret in (*TOKENS.values(), wrong))

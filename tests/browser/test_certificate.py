@@ -69,7 +69,7 @@ def test_the_page_agrees_with_the_report(browser, certificate, theme):
         assert row[4].endswith(design["verdict"]) and "with finer time steps" in row[4].lower()
     links = browser.run("return [...document.querySelectorAll('.design a')].map((a) => a.hash)")
     assert links == [f"#/designs/{one['design']}" for one in best_first]
-    asked = browser.texts("[aria-label='What was asked']")[0]
+    asked = browser.texts("[aria-label='The request']")[0]
     assert f"Left out. {certificate['left_out'][0]['reason']}" in asked
     assert "2 listed environments" in asked and "steps 40" in asked
     assert browser.faults() == [] and browser.run(ACCESSIBILITY) == []
@@ -270,7 +270,7 @@ def test_the_best_of_a_campaign_are_certified(browser, service):
     scored = [one for one in population if one["score"] is not None and not one["lower_bound"]]
     assert job["certificate"]["designs"] == min(20, len(scored)) > 2
     browser.until("document.querySelector('.design')", 300)
-    asked = browser.texts("[aria-label='What was asked']")[0]
+    asked = browser.texts("[aria-label='The request']")[0]
     assert f"the best of campaign {service.campaign}" in asked
     assert asked.count("of the campaign") == len(job["certificate"]["from_population"])
     service.act(id, "cancel")

@@ -241,7 +241,7 @@ def test_a_link_that_hides_an_unknown_series(browser, evolved):
     """Its chart says so, in a line; the others do not."""
     shown(browser, evolved, "?hide=scores.medain|scores.median|scores")
     [fault] = browser.texts("figure .error:not([hidden])")
-    assert fault.startswith("hide=scores.medain|scores: no such series here; the series are ")
+    assert fault.startswith("hide=scores.medain|scores: no series has this name; the series are ")
     assert "median" in fault.split("are ")[1] and "median" not in described(browser)
     shown(browser, evolved, "?hide=scores.median")
     assert browser.texts("figure .error:not([hidden])") == []

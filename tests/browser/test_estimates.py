@@ -11,7 +11,7 @@ from service import BINARY, DESIGN, run
 
 MODULE = pathlib.Path(BINARY).parents[2] / "tests" / "device" / "fake-device.so"
 DEVICES = (f"--compute-module={MODULE}", "--devices=auto")  # one
-UNKNOWN = "Nothing like it was measured here."
+UNKNOWN = "Nothing similar was measured here."
 SHORT = {"n_steps": 20}
 JUMP = [{"task": {"guide": {"kind": "ahead"}, "objective": "jump"}}]
 GRID = [{"terrain": {"kind": "grid", "heights_m": [[0, 0.1], [0, 0.1]], "spacing_m": 1},

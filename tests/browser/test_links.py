@@ -52,7 +52,7 @@ def test_broken_links_say_what_is_wrong(service, browser, own):
         assert browser.texts("main canvas, main table, main button") == [], view
     for view in ("__proto__", "constructor/1"):
         browser.run("location.hash = '#/' + arguments[0]", view)
-        browser.until(f"{HEADING} === 'There is no such page'")
+        browser.until(f"{HEADING} === 'Page not found'")
     assert browser.faults() == []
 
 
@@ -152,7 +152,7 @@ def test_tabs_are_named(service, browser):
         f"campaigns/{service.campaign}/phylogeny":
             "Phylogeny of <b>walkers</b> & others · morphod",
         f"trainings/{service.training}": f"Training run {service.training}, succeeded · morphod",
-        "machines": "Machines · morphod", "nowhere": "There is no such page · morphod",
+        "machines": "Machines · morphod", "nowhere": "Page not found · morphod",
     }
     for view, title in titles.items():
         go(browser, view)
@@ -296,7 +296,7 @@ def test_forms_say_what_they_leave_open(service, browser):
     browser.click("New evaluation")
     form = "document.querySelector('dialog[aria-label=\"New evaluation\"]')"
     browser.until(f"{form}?.querySelector('textarea')")
-    assert "as the preset says" not in browser.run(f"return {form}.innerText")
+    assert "from the preset" not in browser.run(f"return {form}.innerText")
     browser.run(f"""
         const text = {form}.querySelector('textarea');
         text.value = '0'.repeat(36);

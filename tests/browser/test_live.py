@@ -133,17 +133,17 @@ def test_the_phase_before_the_first_generation_is_named(browser, service, busy):
     """, busy)
     go(browser, "campaigns/" + busy)
     said = "document.querySelector('progress + div').innerText"
-    text = "Leaving out the bodies of pretraining: {} of 11,468,800 redrawn, 4 min left"
+    text = "Leaving out pretraining bodies: {} of 11,468,800 redrawn, 4 min left"
     for done in ("1,000", "2,000"):
         browser.until(f"{said} === {text.format(done)!r}")
     assert browser.run("return document.querySelector('progress').value") < 0.001
     assert browser.run("return document.title") == (
-        "busy, Leaving out the bodies of pretraining · morphod")
+        "busy, Leaving out pretraining bodies · morphod")
 
 
 def test_a_study_waits_for_its_client(service, browser):
     browser.open("campaigns/" + service.study)
-    assert browser.texts(".title .state") == ["waits for its client"]
+    assert browser.texts(".title .state") == ["waiting for its client"]
     assert browser.run("return document.querySelector('main progress').hidden") is True
 
 
@@ -266,7 +266,7 @@ def test_warnings_appear_next_to_the_state(start):
     try:
         for path, state, detail in (
             (f"campaigns/{diverged}", f"succeeded, but {why}", "generation 1"),
-            (f"campaigns/{ended}", "succeeded, but no unseen body is left", "it ended at"),
+            (f"campaigns/{ended}", "succeeded, but no unseen bodies are left", "it ended at"),
             (f"trainings/{training}", f"failed, but {why}", "nothing was learned")):
             page.open(path)
             page.until(f"document.querySelector('.title .state')?.textContent === {state!r}")
@@ -280,7 +280,7 @@ def test_warnings_appear_next_to_the_state(start):
                    "'Mean loss of the batch: No value: all 4 robots diverged.'")
         page.open("overview")
         page.until("document.body.innerText.includes('but every robot diverged')")
-        assert "but no unseen body is left" in page.run("return document.body.innerText")
+        assert "but no unseen bodies are left" in page.run("return document.body.innerText")
     finally:
         page.quit()
 

@@ -29,7 +29,7 @@ def test_the_campaign(browser, study):
     assert numbers[0] == "-2 m/s" and set(numbers) == {"-2 m/s", "-1.25 m/s", "-0.5 m/s"}
     page = browser.run("return document.querySelector('main').innerText")
     assert "speed_lost, m/s" in page and "sent by the client" in page
-    assert "ranked by speed_lost, which its client computes" in page
+    assert "ranked by speed_lost, computed by its client" in page
     assert "Meters walked" not in page
     assert browser.faults() == []
 

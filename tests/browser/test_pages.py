@@ -544,7 +544,7 @@ def test_trainings_of_other_seeds_are_a_band(service, browser):
     mean = statistics.mean(one[-1]["mean_loss"] for one in rows)
     assert f"to {mean:.3g} at step {rows[0][-1]['step']}" in browser.run("return " + reported)
     legend = browser.texts("figure")[0]
-    assert "least to most" in legend
+    assert "min to max" in legend
 
 
 def test_two_controllers_are_compared(service, browser):
@@ -582,7 +582,7 @@ STATES = {  # what a page shows if there is no data, or the address has another 
     "designs?evaluation=99": 'There is no evaluation "99"', "designs/xyz": "36 hexadecimal digits",
     "stage?set=moon": 'There is no set of environments "moon"',
     "stage?controller=nobody&designs=88" + "0" * 34: 'controller "nobody" does not exist',
-    "nowhere": "There is no such page"
+    "nowhere": "Page not found"
 }
 
 

@@ -86,7 +86,7 @@ def test_a_training_learns_the_chosen_task(service, browser):
 
 
 def test_pictures_are_drawn_from_the_task(browser):
-    """Way-points, the direction of the light and the ground are where the request has them."""
+    """Waypoints, the direction of the light and the ground are where the request has them."""
     browser.open("nowhere")
     seen = module(browser, "lib/task_picture.js", """
         const flat = { task: { guide: { kind: 'ahead', heading_rad: Math.PI / 2 } } };
@@ -158,7 +158,7 @@ def in_link(browser, name):
 
 
 def drawn(browser):
-    """Returns the way-points in the link."""
+    """Returns the waypoints in the link."""
     found = in_link(browser, "task")
     assert found.startswith("drawn:")
     return [[float(value) for value in point.split("_")] for point in found[6:].split(",")]
@@ -175,7 +175,7 @@ def test_a_drawn_path_is_a_task(service, browser):
     browser.until("document.querySelector('#tasks input[value=draw]')")
     browser.run(PICK, "draw")
     browser.until(f"document.querySelector('{MAP}')")
-    assert status(browser) == f"No way-point yet: a path has at most {most}."
+    assert status(browser) == f"No waypoint yet: a path has at most {most}."
     drag(browser, [[2.5 + 0.05 * i, 2.5 + 0.02 * abs(10 - i)] for i in range(21)])
     browser.until("location.hash.includes('task=drawn')")
     points = drawn(browser)
@@ -187,7 +187,7 @@ def test_a_drawn_path_is_a_task(service, browser):
     assert browser.run(f"return {stage}.world.points") == points
     browser.until("document.querySelector('.result')?.innerText.includes('Your path')")
     assert browser.run(ACCESSIBILITY) == []
-    # With keys: the cross begins at the last way-point.
+    # With keys: the cross begins at the last waypoint.
     browser.run("document.querySelector(arguments[0]).focus()", MAP)
     field = browser.driver.switch_to.active_element
     field.send_keys("\ue014", "\ue014", "\ue015", "\ue007")  # right, right, down, Enter
@@ -195,7 +195,7 @@ def test_a_drawn_path_is_a_task(service, browser):
     assert drawn(browser)[3] == pytest.approx([points[2][0] + 0.2, points[2][1] - 0.1])
     field.send_keys("\ue012" + "\ue007", *(["\ue012\ue007"] * 14))  # left, Enter
     browser.until(f"(location.hash.match(/%2C/g) ?? []).length === {most - 1}")
-    assert status(browser) == f"No way-point was added: a path has at most {most}."
+    assert status(browser) == f"No waypoint was added: a path has at most {most}."
     browser.click("Remove last", ".draw button")
     browser.until(f"(location.hash.match(/%2C/g) ?? []).length === {most - 2}")
     points = drawn(browser)
@@ -226,7 +226,7 @@ def test_a_stroke_has_at_most_sixteen_way_points(browser):
     drag(browser, [[2.5 + 0.05 * i, 2.5 + (0.4 if i % 2 else 0)] for i in range(40)])
     browser.until("!location.hash.includes('3_3')")
     assert 1 <= len(drawn(browser)) <= 16
-    assert status(browser).startswith("Simplified: a path has at most 16 way-points. This path ")
+    assert status(browser).startswith("Simplified: a path has at most 16 waypoints. This path ")
 
 
 def test_wrong_way_points_are_refused(browser):
@@ -236,13 +236,13 @@ def test_wrong_way_points_are_refused(browser):
                   "drawn:" + ",".join(["3_3"] * 17)):
         browser.open(f"lab?task={wrong}")
         browser.until("document.querySelector('main .error')?.innerText"
-                      ".includes('drawn:x_y,x_y with 1 to 16 way-points')")
+                      ".includes('drawn:x_y,x_y with 1 to 16 waypoints')")
 
 
     for wrong in ("3_", "0x3_1e0"):
         browser.open(f"stage?path={wrong}")
         browser.until("document.querySelector('main .error')?.innerText"
-                      ".includes('1 to 16 way-points are expected, as x_y,x_y')")
+                      ".includes('1 to 16 waypoints are expected, as x_y,x_y')")
     browser.open("lab?task=drawn:-1_2.50")
     browser.until(SCORED)
     assert drawn(browser) == [[-1, 2.5]]
@@ -256,7 +256,7 @@ def test_an_unsteady_click_adds_a_way_point(browser):
     browser.until("(location.hash.match(/%2C/g) ?? []).length !== 2")
     *before, last = drawn(browser)
     assert before == points and last == pytest.approx([4, 2], abs=0.03)
-    assert status(browser).startswith("This path has 4 way-points and is ")
+    assert status(browser).startswith("This path has 4 waypoints and is ")
 
 
 def test_a_drawn_path_outlasts_another_choice(browser):
@@ -272,7 +272,7 @@ def test_a_drawn_path_outlasts_another_choice(browser):
     browser.until(link.format("drawn"))
     assert drawn(browser) == [[3, 3], [4, 3]]
     browser.until(f"document.querySelector('{MAP}')")
-    assert status(browser).startswith("This path has 2 way-points")
+    assert status(browser).startswith("This path has 2 waypoints")
     # Also when the menu was closed in between.
     browser.run(PICK, "walk")
     browser.until(link.format("walk"))
@@ -319,7 +319,7 @@ def test_a_key_adds_no_way_point_twice(browser):
     field = browser.driver.switch_to.active_element
     enter, right = "\ue007", "\ue014"
     field.send_keys(enter)
-    refused = "No way-point was added: the path already ends there."
+    refused = "No waypoint was added: the path already ends there."
     assert status(browser) == refused
     field.send_keys(right, right)
     assert status(browser) == "x 2.7 m, y 2.5 m"
@@ -353,7 +353,7 @@ def test_a_path_on_the_stage(service, browser):
     assert in_link(browser, "path") is None
     assert browser.run(f"return {world}.points") is None
     browser.click("Remove the path", ".draw button")
-    assert status(browser).startswith("No way-point yet")
+    assert status(browser).startswith("No waypoint yet")
     drag(browser, [[3.4, 2.6]])
     browser.until("location.hash.includes('path=')")
     point = [float(value) for value in in_link(browser, "path").split("_")]

@@ -87,7 +87,7 @@ def test_the_stage_draws_grids(service, browser):
 
 def test_a_campaign_shows_meters(service, browser):
     """The curve and the champions of a task that is measured in meters have that unit; on the
-    stage, the light leads, and the way-points are there."""
+    stage, the light leads, and the waypoints are there."""
     id = run(service, "campaigns", WALK)["id"]
     browser.open(f"campaigns/{id}")
     browser.until("document.body.innerText.includes('Meters walked')")

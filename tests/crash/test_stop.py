@@ -118,7 +118,7 @@ def test_sighup_reloads_tokens_and_level(daemon):
     assert "needs a restart" in log and "setting=workers" in log
     # A reload with a fault changes nothing.
     config.write_text(f"token_file = {tokens}\nlog_level = loud\n")
-    reload("reload refused")
+    reload("reload failed")
     assert status("second-token-0123456789") == 200
     assert one.stop()[0] == 0
 

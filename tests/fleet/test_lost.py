@@ -88,7 +88,7 @@ def test_of_a_silent_worker(scene):
     one, _, witness, stopped = scene
     one.until(lambda: one.json("/v1/fleet")["lost"] == 1)
     session = lease_of(one, witness)
-    assert session["why"] == "it was silent"
+    assert session["why"] == "it stopped responding"
     last, ended = (datetime.datetime.fromisoformat(session[name].replace("Z", "+00:00"))
                    for name in ("heard_at", "ended_at"))
     silent_s = (ended - last).total_seconds()

@@ -64,7 +64,7 @@ def test_one_body_in_all_forms(same):
 def test_evogym_rows_come_from_the_top():
     body = Body.evogym(np.array([[0, 0, 3], [1, 1, 1]]))
     assert set(body.cells) == {(x, y, 0) for x in range(3) for y in (2, 3)} | {(2, 2, 1), (2, 3, 1)}
-    assert body.lost == ("materials 1, 3 became one", )
+    assert body.lost == ("materials 1, 3 were merged into one", )
 
 
 def test_evogym_connections():
@@ -75,11 +75,11 @@ def test_evogym_connections():
         joined.lost == ("material 3 became morphod's only material", ))
     apart = Body.evogym(robot, np.array([[0], [1]]))
     assert apart == joined and apart.lost[1:] == (
-        "1 pair of adjacent voxels that was not connected became connected", )
+        "1 pair of adjacent voxels that was not connected are now connected", )
     assert Body.evogym(robot, np.empty((0, 2)).T).lost[1].startswith("2 pairs of adjacent voxels")
     assert Body.evogym(np.array([[1, 0, 1]]), repair="largest").lost == (
         "material 1 became morphod's only material",
-        "2 voxels that did not belong to the largest piece")
+        "2 voxels that were not part of the largest piece")
 
 
 @pytest.mark.parametrize("wrong, said", [
@@ -111,9 +111,9 @@ def test_wrong_robots_of_evogym(wrong, said):
     (np.ones((2, 7)), "Body.evogym(it) reads rows of EvoGym"),
     (np.array([[0, 2, 0], [1, 2, 0]]), '{"cells": it} reads cells'),
     ([[0, 3, 3], [1, 1, 0], [4, 0, 0]], "ambiguous: Body.evogym(it)"),
-    ([[3, 3, 3], [3, 3, 3]], "twice: it equals cell 0; Body.evogym(it) reads rows of EvoGym"),
+    ([[3, 3, 3], [3, 3, 3]], "twice: it equals cell 0; Body.evogym(it) reads EvoGym rows"),
     ([[3, 3, 4], [4, 4, 4]], "z = 4; the workspace has 0 to 3; Body.evogym(it) reads rows"),
-    ([[5, 3, 3], [5, 3, 3]], "cell 1 is given twice: it equals cell 0"),
+    ([[5, 3, 3], [5, 3, 3]], "cell 1 is a duplicate of cell 0"),
     ((np.ones((2, 2)), np.zeros((2, 4))), "Body.evogym(pair)"),
     (np.full(WORKSPACE, np.nan), "the value at [0, 0, 0] is nan"),
     (np.full(WORKSPACE, 0.3), "array > 0.5"),

@@ -9,7 +9,7 @@ from morphod import BodyError, MorphodError, read_world
 
 KINDS = {"#": ("ground", 5), "s": ("ground", 2), "B": ("box", 1), "h": ("robot", 3),
          "v": ("robot", 4), "H": ("other", 3)}
-ENDS = "the ends: the ground goes on at the height of its first and last cell"
+ENDS = "the ends: the ground continues at the height of its first and last cell"
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_robots_are_bodies(draw):
     world = read_world(path)
     body, = world.bodies
     assert body == morphod.read_bodies(path)[0] and body.name == "robot"
-    assert body.lost[0] == "materials 3, 4 became one"
+    assert body.lost[0] == "materials 3, 4 were merged into one"
     assert cells_of(world, 16, start=7) == [0] * 13 + [-1] * 3
     assert "robot robot starts on the ground, 1 cell lower" in world.lost
     other = read_world(draw("......hh....HH..", "################"))
@@ -111,7 +111,7 @@ def test_ceilings_and_overhangs(draw):
                              "########"))
     assert cells_of(inside, 8) == [2, 0, 0, 0, 0, 0, 0, 2]
     assert "other floors at the start: rows 3 of its column; start_row chooses one" in inside.lost
-    assert "the way is closed at cell 0: the terrain goes on above it" in inside.lost
+    assert "the way is blocked at cell 0: the terrain continues above it" in inside.lost
 
 
 def test_what_moves_or_is_soft(draw):

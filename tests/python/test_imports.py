@@ -50,7 +50,7 @@ def test_voxcraft(tmp_path, compression):
     file.write_text(vxd(compression, layers_of(STAIRS, LAYERS[compression])))
     body, = read_bodies(file)
     assert set(body.cells) == {tuple(cell) for cell in np.argwhere(STAIRS)}
-    assert body.lost == ("materials 1, 3 became one", )
+    assert body.lost == ("materials 1, 3 were merged into one", )
 
 
 def test_evogym(tmp_path):
@@ -62,7 +62,7 @@ def test_evogym(tmp_path):
     robot, box = read_bodies(file)
     assert set(robot.cells) == {(x, y, 0) for x in range(3) for y in (2, 3)} | {(2, 2, 1),
                                                                                (2, 3, 1)}
-    assert robot.lost == ("materials 3, 4 became one", ) and len(box) == 2
+    assert robot.lost == ("materials 3, 4 were merged into one", ) and len(box) == 2
     assert (robot.name, box.name) == ("robot", "box")
 
 
@@ -81,7 +81,8 @@ def test_evogym_leaves_out_the_ground(tmp_path):
     file.write_text(world(ground=GROUND, robot=ROBOT))
     robot, = read_bodies(file)
     assert set(robot.cells) == {(0, y, z) for y in (2, 3) for z in (0, 1)} | {(1, 2, 0), (1, 3, 0)}
-    assert robot.lost == ("materials 3, 4 became one", "left out of the file: ground (fixed)")
+    assert robot.lost == ("materials 3, 4 were merged into one",
+                          "left out of the file: ground (fixed)")
     file.write_text(world(ground=GROUND))
     with pytest.raises(BodyError, match="only fixed objects in this file: ground"):
         read_bodies(file)
@@ -108,7 +109,7 @@ def test_evogym_voxels_that_are_apart(tmp_path):
     file = tmp_path / "world.json"
     file.write_text(world(robot=([41, 42, 61], [3, 3, 3], {"41": [61], "61": [41]})))
     assert read_bodies(file)[0].lost[1:] == (
-        "1 pair of adjacent voxels that was not connected became connected", )
+        "1 pair of adjacent voxels that was not connected are now connected", )
     file.write_text(world(robot=([41, 42], [3, 3], {"41": [42], "42": [41]})))
     assert len(read_bodies(file)[0].lost) == 1
 
@@ -118,9 +119,9 @@ def test_evogym_robots_of_numpy(tmp_path):
     body, connections = np.array([[3.0, 3.0], [4.0, 0.0]]), np.array([[0, 0], [1, 2]])
     np.savez(tmp_path / "robot.npz", body, connections)
     robot, = read_bodies(tmp_path / "robot.npz")
-    assert robot == Body.evogym(body) and robot.lost == ("materials 3, 4 became one", )
+    assert robot == Body.evogym(body) and robot.lost == ("materials 3, 4 were merged into one", )
     np.savez(tmp_path / "apart.npz", body, connections[:, :1])
-    assert "not connected became connected" in read_bodies(tmp_path / "apart.npz")[0].lost[1]
+    assert "not connected are now connected" in read_bodies(tmp_path / "apart.npz")[0].lost[1]
     np.savez(tmp_path / "high.npz", np.full((5, 5), 3.0), np.empty((2, 0)))
     with pytest.raises(BodyError, match="5 voxels high .axis 0 of the array.; the workspace has 4"):
         read_bodies(tmp_path / "high.npz")

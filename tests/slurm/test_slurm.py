@@ -91,7 +91,7 @@ def test_a_campaign_survives_what_slurm_does(slurm, start, tmp_path):
     slurm.crash("n1")
     until(lambda: sessions(service) == ["n2"])
     assert [one["why"] for one in service.get("/v1/fleet")["sessions"]
-            if one["state"] == "lost"] == ["it was silent"]
+            if one["state"] == "lost"] == ["it stopped responding"]
     goes_on()
     # scancel: the worker leaves in order and without a silence, so it is not lost.
     slurm.slurm("scancel", first)

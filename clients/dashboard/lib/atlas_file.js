@@ -87,13 +87,13 @@ export class AtlasFile {
     const refuse = (why) => { throw new AtlasError(`${name} ${why}`); };
     const magic = buffer.byteLength >= HEAD
       ? String.fromCharCode(...new Uint8Array(buffer, 0, MAGIC.length)) : '';
-    if (magic !== MAGIC) refuse('is not an atlas: it does not begin like one.');
+    if (magic !== MAGIC) refuse('is not an atlas file.');
     const version = view.getUint32(20, true);
     if (view.getUint32(16, true) !== 0x01020304 || !VERSIONS.includes(version)) {
-      refuse(`has version ${version} of the format; this page reads ${VERSIONS.join(' and ')}.`);
+      refuse(`has format version ${version}; this page reads ${VERSIONS.join(' and ')}.`);
     }
     const bits = version > 1 ? Number(view.getBigUint64(HEAD - 8, true)) : 0;
-    if (bits >= 2 ** MEASURES.length) refuse('has measures that this page does not know.');
+    if (bits >= 2 ** MEASURES.length) refuse('has unknown measures.');
     this.measures = MEASURES.filter((_, m) => bits >> m & 1);
     const head = version > 1 ? HEAD + 8 : HEAD;
     this.sides = [24, 28, 32].map((at) => view.getUint32(at, true));
@@ -130,7 +130,7 @@ export class AtlasFile {
           Math.min(blockBodies, this.counts[n] - done), refuse);
       }
     }
-    if (at !== buffer.byteLength) refuse('is truncated, or longer than an atlas of its bodies.');
+    if (at !== buffer.byteLength) refuse('is truncated, or too long for its bodies.');
     this.view = view;
     this.#fillSets();
     this.#sort();
@@ -427,8 +427,8 @@ export class AtlasFile {
     const position = this.findCells(cells);
     if (position >= 0) return position;
     throw new AtlasError(cells.length > this.voxelsMax
-      ? `The atlas ends at ${this.voxelsMax} voxels; this body has ${cells.length}.`
-      : 'The atlas has no such body: it must be in one piece.');
+      ? `The atlas has bodies of at most ${this.voxelsMax} voxels; this one has ${cells.length}.`
+      : 'The atlas has only bodies in one piece.');
   }
 
   // ---- the interface of lib/atlas_http.js ----

@@ -223,7 +223,7 @@ export class Chart {
     const { key } = this.options;
     const wrong = unknown.map((name) => [key, name].filter(Boolean).join('.')).join('|');
     this.fault.hidden = !wrong;
-    say(this.fault, wrong && `hide=${wrong}: no such series here; the series are ${
+    say(this.fault, wrong && `hide=${wrong}: no series has this name; the series are ${
       names.join(', ')}.`);
   }
 

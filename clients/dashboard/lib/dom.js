@@ -6,7 +6,7 @@ function setAttributes(element, attributes) {
   for (const [name, value] of Object.entries(attributes)) {
     if (value === undefined || value === null || value === false) continue;
     // The page's policy forbids the attribute, and the browser drops it: use a class instead.
-    if (name === 'style') throw new Error('The policy of this page forbids the attribute style.');
+    if (name === 'style') throw new Error("The page's policy forbids the style attribute.");
     if (name.startsWith('on')) element.addEventListener(name.slice(2), value);
     else if (name === 'value' || name === 'checked') element[name] = value;
     else element.setAttribute(name, value === true ? '' : String(value));

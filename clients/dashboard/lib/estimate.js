@@ -139,7 +139,7 @@ function estimateOf(plan, rates, n) {
   const learned = own ?? (learning && scored &&
     secondsOf({ ...learning, rollouts: GRADIENT * learning.rollouts }, plan, 'rollouts', rates));
   if ((!scored && scoring.rollouts) || (learning && !learned)) {
-    return `${what}. Nothing like it was measured here.`;
+    return `${what}. Nothing similar was measured here.`;
   }
   const seconds = (scored?.seconds ?? 0) + (learned?.seconds ?? 0);
   // The steps of a training run and the generations of a campaign run one after another.

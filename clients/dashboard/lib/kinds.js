@@ -48,7 +48,7 @@ function progressOfCampaign(job) {
     const { done, total } = progress;
     return {
       share: total ? done / total : null, secondsLeft,
-      text: 'Leaving out the bodies of pretraining' +
+      text: 'Leaving out pretraining bodies' +
         (total ? `: ${count(done)} of ${count(total)} redrawn` : ''),
     };
   }
@@ -150,7 +150,7 @@ const study = {
   ...campaign, name: 'Study', names: 'Studies', starts: false,
   only: (job) => partOf(job).mode === 'study',
   progress: progressOfStudy,
-  waits: (job) => (job.state === 'queued' && job.reason ? 'waits for its client' : null),
+  waits: (job) => (job.state === 'queued' && job.reason ? 'waiting for its client' : null),
 };
 
 /** Its page is that of the atlas. @type {Kind} */
@@ -216,9 +216,9 @@ export const progressOf = (job) => kindOf(job).progress(job);
 /** Warnings in a few words, by their codes. */
 const WARNED = {
   all_diverged: 'every robot diverged', diverged: 'robots diverged',
-  no_measure: 'designs have no value of the measure',
-  exhausted: 'no unseen body is left', light_near_start: 'a light is near the start',
-  unstable_step: 'the time step is too large', every_step: 'the controller acts in every step',
+  no_measure: 'designs lack a value of the measure',
+  exhausted: 'no unseen bodies are left', light_near_start: 'a light is near the start',
+  unstable_step: 'the time step is too large', every_step: 'the controller acts at every step',
 };
 
 /** Describes the state, and warnings that the result does not show. */

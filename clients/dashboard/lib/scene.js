@@ -25,7 +25,7 @@ export function decodeScene(buffer) {
     const Type = TYPES[type];
     const n = shape.reduce((a, b) => a * b, 1);
     if (!Type || start + offset + n * Type.BYTES_PER_ELEMENT > buffer.byteLength) {
-      throw new Error('An array of the scene lies outside of it.');
+      throw new Error('An array lies outside the scene.');
     }
     return new Type(buffer, start + offset, n);
   };

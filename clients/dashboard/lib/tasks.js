@@ -27,26 +27,26 @@ export const TASKS = [
       { task: 'climb', terrain_heights_m: slope(0.14) }] },
   { name: 'circle', title: 'Circle', about: 'Walk in a direction that turns once in 4 s',
     environments: onRoughGround('circle') },
-  { name: 'path', title: 'Path', about: 'Follow three way-points',
+  { name: 'path', title: 'Path', about: 'Follow three waypoints',
     environments: onRoughGround('path') },
   { name: 'shuttle', title: 'Shuttle', about: 'Walk back and forth, twice',
     environments: onRoughGround('shuttle') },
   { name: 'pursue', title: 'Pursue', about: 'Stay close to a light that flees at 0.3 m/s',
     environments: onRoughGround('pursue') },
-  { name: 'efficient', title: 'Walk on little energy', about: 'Walk far with little work of the ' +
-    'springs', environments: onRoughGround({ guide: { kind: 'ahead' }, objective: 'efficient' }) },
-  { name: 'jump', title: 'Jump', about: 'Jump on the spot; the light circles once per second',
+  { name: 'efficient', title: 'Walk efficiently', about: 'Walk far with little spring work',
+    environments: onRoughGround({ guide: { kind: 'ahead' }, objective: 'efficient' }) },
+  { name: 'jump', title: 'Jump', about: 'Jump in place; the light circles once per second',
     environments: [{ task: { guide: { kind: 'moving', light_xy_m: [4, 2.5], turn_rad_per_s: 6.28 },
       objective: 'jump' } }] },
 ].map((task) => ({ ...task, set: SETS[task.name] }));
 
-/** A path has at most this many way-points, each this close to the origin: bounds of the API. */
+/** A path has at most this many waypoints, each this close to the origin: bounds of the API. */
 export const POINTS_MAX = 16;
 const FAR_M = 1000;
 /** Number('') is 0, and Number('0x3') is 3. */
 const DECIMAL = /^-?\d+(\.\d+)?$/;
 
-/** Reads way-points, as x_y,x_y in links; null: they are invalid. @param {string} text */
+/** Reads waypoints, as x_y,x_y in links; null: they are invalid. @param {string} text */
 export function pointsIn(text) {
   const points = text.split(',').map((point) => point.split('_')
     .map((value) => (DECIMAL.test(value) ? Number(value) : NaN)));
@@ -54,7 +54,7 @@ export function pointsIn(text) {
     point.length === 2 && point.every((value) => Math.abs(value) <= FAR_M)) ? points : null;
 }
 
-/** Writes way-points in that form. @param {number[][]} points */
+/** Writes waypoints in that form. @param {number[][]} points */
 export const pointsText = (points) => points.map((point) => point.join('_')).join(',');
 
 const DRAWN = 'drawn:';
@@ -62,7 +62,7 @@ const DRAWN = 'drawn:';
 /** Returns the task of following a path that the user drew. @param {number[][]} points */
 export const drawnTask = (points) => ({
   name: DRAWN + pointsText(points), title: 'Your path', points,
-  about: `Follow your ${countOf(points.length, 'way-point')}`,
+  about: `Follow your ${countOf(points.length, 'waypoint')}`,
   environments: onRoughGround({ guide: { kind: 'path', points_m: points }, objective: 'follow' }),
 });
 
@@ -74,7 +74,7 @@ export function taskOf(name) {
 
 /** What only training runs offer first. */
 export const ANY_LIGHT = { name: 'random', title: 'Reach the light',
-  about: 'Go to lights that stand still', environments: undefined };
+  about: 'Go to stationary lights', environments: undefined };
 
 /** All tasks of the suite, which only evaluations are in. */
 export const SUITE = { name: 'morpho-12', title: 'All twelve tasks',
@@ -104,8 +104,8 @@ const closeness = 'mean distance to the light, 1 at the start';
 const SCORES = {
   reach: 'distance to the light at the end, 1 at the start', approach: closeness,
   pursue: closeness, travel: 'meters in the direction of the light',
-  follow: 'meters along the path, less the mean distance from it', climb: 'meters of height',
-  efficient: 'meters per kilojoule', jump: 'meters of height, less half of the way',
+  follow: 'meters along the path, minus the mean distance from it', climb: 'meters of height',
+  efficient: 'meters per kilojoule', jump: 'meters of height, minus half the distance',
 };
 
 /**
@@ -114,7 +114,7 @@ const SCORES = {
  * @param {string} kind of the job: some show the loss
  */
 export function scoreWords(environments = [{}], kind) {
-  if (typeof environments === 'string') return 'Score: of each task, in its unit';
+  if (typeof environments === 'string') return 'Score: each task in its own unit';
   const [objective, ...others] = new Set(environments.map(({ task }) =>
     spelledOut(task).objective));
   const isLoss = kind === 'training' || (kind === 'campaign' && objective === 'efficient');

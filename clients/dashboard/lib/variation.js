@@ -58,7 +58,7 @@ export function shift(genotype, [dx, dy, dz]) {
 }
 
 /**
- * Reads a body from a text: a robot (ID@K) or an id, 144 digits of voxels, a list of cells, or an
+ * Reads a body from a text: a robot (ID@K) or an id, 144 voxel digits, a list of cells, or an
  * EvoGym array (rows of materials, 0 is empty), which is given a depth of two voxels.
  * @returns {{id?: string, genotype?: string, lost?: string}} an id or a genotype, and what the
  * conversion lost; throws an explanation
@@ -83,20 +83,20 @@ export function readBody(text) {
   const isList = trimmed.startsWith('[') && trimmed.includes(',');
   const isCells = isList && rows.every((row) => row.length === 3);
   if (isCells && (new Set(rows.map(key)).size !== rows.length || components(rows).length !== 1)) {
-    throw new Error('As cells [x, y, z] this is not in one piece, or repeats one; for rows of ' +
-      'EvoGym write array([[…], …]).');
+    throw new Error('Read as cells [x, y, z], this is not in one piece or repeats a cell; for ' +
+      'EvoGym rows, write array([[…], …]).');
   }
   const wrong = rows.flat().find((value) => !Number.isInteger(value) || value < 0);
   if (wrong !== undefined) {
-    throw new Error(`${wrong} is neither a place nor a material: whole numbers from 0 are.`);
+    throw new Error(`${wrong} is not a coordinate or material: use whole numbers from 0.`);
   }
   const materials = isCells ? [] : [...new Set(rows.flat())].filter((one) => one !== 0).sort();
   const cells = isCells ? rows : rows.flatMap((row, up) => row.flatMap((material, x) =>
     (material === 0 ? [] : [2, 3].map((y) => [x, y, rows.length - 1 - up]))));
   const isOutside = (v, axis) => !Number.isInteger(v) || v < 0 || v >= WORKSPACE[axis];
   if (cells.some((cell) => cell.some(isOutside))) {
-    throw new Error(`A voxel lies outside of the workspace of ${WORKSPACE.join(' × ')}.`);
+    throw new Error(`A voxel lies outside the workspace of ${WORKSPACE.join(' × ')}.`);
   }
-  const lost = materials.length > 1 ? `Materials ${materials.join(', ')} became one.` : '';
+  const lost = materials.length > 1 ? `Materials ${materials.join(', ')} were merged.` : '';
   return { genotype: genotypeOf(cells), lost };
 }

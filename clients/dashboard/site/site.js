@@ -38,7 +38,7 @@ async function show() {
     if (!file) {
       return { robot: null, words: recorded.size
         ? `This page has no service to compute a walk. It has recordings of ${recorded.size} ` +
-          'bodies, among them the best of each size.'
+          'bodies, including the best of each size.'
         : 'This page has no recordings, and no service to compute a walk.' };
     }
     const [robot] = robotsOf(decodeScene(await load(file, 'arrayBuffer')));

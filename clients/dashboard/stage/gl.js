@@ -32,7 +32,7 @@ export class Program {
     if (!gl.getProgramParameter(this.handle, gl.LINK_STATUS) && !gl.isContextLost()) {
       const logs = gl.getAttachedShaders(this.handle).map((shader) => gl.getShaderInfoLog(shader));
       throw new Error(
-        `A shader does not compile: ${gl.getProgramInfoLog(this.handle)} ${logs.join(' ')}`);
+        `A shader failed to compile: ${gl.getProgramInfoLog(this.handle)} ${logs.join(' ')}`);
     }
     this.places = new Map();
     this.units = 0;

@@ -59,7 +59,7 @@ export class Player {
     });
     this.clock = h('span.clock', {}, '0.00 s');
     this.drawing = h('span.muted.drawing', {
-      hidden: true, title: 'Frames take long, so their resolution is lower while robots move',
+      hidden: true, title: 'Drawing is slow, so the resolution is lower while robots move',
     }, isSoftware() ? 'software drawing' : 'lower resolution');
     this.playButton = button('', () => {
       const waits = this.#waits();
@@ -140,15 +140,15 @@ export class Player {
       this.onchange();
     });
     this.sideToggle = button('Side by side', () => this.setSide(true),
-      { 'aria-pressed': 'false', title: 'A view for each robot' });
+      { 'aria-pressed': 'false', title: 'One view per robot' });
     this.raceToggle = button('Race', () => this.setSide(false, false), {
-      'aria-pressed': 'true', title: 'A lane for each robot: the same ground and the same light, ' +
-        'drawn next to each other. A light that leads the way is drawn close to its robot.',
+      'aria-pressed': 'true', title: 'One lane per robot, side by side, with the same ground ' +
+        'and the same light. A light that leads the way is drawn close to its robot.',
     });
     this.ghostsToggle = button('Ghosts', () => this.setSide(false, true), {
-      'aria-pressed': 'false', title: 'All robots start at the same place on one ground. ' +
+      'aria-pressed': 'false', title: 'All robots start at the same place on the same ground. ' +
         'One is solid: the robot you point at, or the one the camera follows, or the leader. ' +
-        'The others are see-through.',
+        'The others are transparent.',
     });
     this.springsToggle = flag('Springs', 'springs');
     this.actuationToggle = flag('Actuation', 'actuation');

@@ -5,7 +5,7 @@ import { centerOfMass } from './robot.js';
 
 /** A robot whose center of mass is this close to the light, in x and y, has arrived. */
 const ARRIVAL_M = 0.1;
-/** A way-point counts as reached within this distance, and a jump only after this time. */
+/** A waypoint counts as reached within this distance, and a jump only after this time. */
 const POINT_M = 0.2;
 const SETTLED_S = 0.4;
 
@@ -81,7 +81,7 @@ MEASURES.pursue = MEASURES.approach;
 
 const TITLES = {
   reach: 'distance to the light', approach: 'closeness so far', pursue: 'closeness so far',
-  travel: 'distance walked', follow: 'progress on the path', climb: 'height gained',
+  travel: 'distance walked', follow: 'progress along the path', climb: 'height gained',
   jump: 'height of the jump', way: 'distance from the start',
 };
 

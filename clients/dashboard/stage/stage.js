@@ -105,7 +105,7 @@ function groundMesh(gl, cells, rows = cells) {
  * @property {Float32Array|number[]} [lights] (frames, 3) of a light that a task moves
  * @property {{light: number[], points?: number[][], heights: Float32Array|number[],
  *   spacing?: number, columns?: number, key?: string, sunFrom?: number[], task?: any}} world light
- *   (x, y) in meters, at the start if it moves; way-points of a path; a task other than `photo`;
+ *   (x, y) in meters, at the start if it moves; waypoints of a path; a task other than `photo`;
  *   the terrain: 64 heights of a grid, or, with their spacing in meters, of a profile, or of a grid
  *   with these columns; sunFrom: where the sun is in place of the light
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127

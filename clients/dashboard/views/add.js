@@ -24,7 +24,7 @@ export function addToTray(bodies) {
       : 'These robots are already in the tray.');
   } else {
     announce(`${added.length === 1 ? nameOf(added[0].robot) : countOf(added.length, 'robot')} ` +
-      `added to the tray, which has ${countOf(tray.kept.length, 'robot')} now`);
+      `added to the tray, which now has ${countOf(tray.kept.length, 'robot')}`);
   }
 }
 

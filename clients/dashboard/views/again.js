@@ -56,7 +56,7 @@ const PARTS = {
     }
     const whole = await getJson(pathOf(job));
     if (!whole.results) {
-      return { lacks: 'The service does not list its designs: enter designs below.' };
+      return { lacks: 'The service does not list its designs; enter designs below.' };
     }
     fixed.designs = whole.results.filter(({ robot }) => robot)
       .map(({ genotype }) => ({ voxels: genotype }));

@@ -10,9 +10,9 @@ const NONE = 'Compare with…';
 
 /** Explains what Kendall's τ means. */
 function tauWords(tau) {
-  if (tau === null) return 'One of them does not rank bodies at all.';
+  if (tau === null) return 'One atlas ranks all bodies equally.';
   const share = Math.round(50 * (1 + tau));
-  return `Kendall's τ ${tau.toFixed(3)}: of two bodies, both atlases prefer the same one in ` +
+  return `Kendall's τ ${tau.toFixed(3)}: the atlases agree on the better of two bodies in ` +
     `${share} of 100 cases.`;
 }
 

@@ -43,8 +43,8 @@ export class AtlasDraw {
       button('Random', () => random().then(({ genotype }) => this.change(centered(genotype)))
         .catch((error) => announce(error.message, { isRefusal: true })),
       { title: 'Any body of the atlas' }),
-      button('Import', () => this.#import(), { title: 'An id, cells or voxels; you can also ' +
-        'drop such a text here' })),
+      button('Import', () => this.#import(), { title: 'An id, cells or voxels; you can ' +
+        'also drop one here' })),
     this.shape.element, h('details', { open: innerWidth >= WIDE_PX },
       h('summary', {}, 'Layer by layer'), this.cells.element), this.loose);
   }
@@ -64,7 +64,7 @@ export class AtlasDraw {
     const loose = this.#draw();
     this.loose.hidden = !loose;
     fill(this.loose, h('span', {}, loose ? `${countOf(loose, 'loose voxel')}: connect or remove ` +
-      `${loose === 1 ? 'it' : 'them'}. The numbers are those of the body before.` : ''));
+      `${loose === 1 ? 'it' : 'them'}. The numbers are for the previous body.` : ''));
     this.changed(loose);
   }
 
@@ -124,7 +124,7 @@ export class AtlasDraw {
     const { formDialog } = await import('./share.js');
     const text = h('textarea', { rows: 6, 'aria-label': 'Body' });
     formDialog('Import a body', 'Import', () => this.#read(text.value), h('p.wide', {},
-      'An id or a robot (ID@K), 144 digits of voxels, or a list of cells as [[x,y,z], …].'),
+      'An id or a robot (ID@K), 144 voxel digits, or a list of cells as [[x,y,z], …].'),
     h('div.stack.wide', {}, text));
   }
 

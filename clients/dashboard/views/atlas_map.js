@@ -101,8 +101,8 @@ export class AtlasMap {
     const what = `odies by ${measure || 'score'} and size`;
     say(this.title, `All b${what}`);
     this.canvas.setAttribute('aria-label', `B${what}. Up and down choose a size, left and right ` +
-      'a range, which grows with Shift. The bodies are listed below.');
-    say(this.words, 'Click a place, or drag over some, to see the bodies there.' +
+      'a range; Shift extends it. The bodies are listed below.');
+    say(this.words, 'Click or drag to list the bodies there.' +
       `${without ? ` ${countOf(without, 'body has', 'bodies have')} no value.` : ''}`);
   }
 

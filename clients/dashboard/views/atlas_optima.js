@@ -10,7 +10,8 @@ export class AtlasOptima {
   constructor(page) {
     this.page = page;
     this.words = h('span.muted', { role: 'status' }, 'A body is a local optimum if adding or ' +
-      'removing a voxel does not improve it. Its basin is all bodies whose way up ends there.');
+      'removing a voxel does not improve it. Its basin is all bodies from which the way up ends ' +
+      'there.');
     this.list = h('div.strip.wraps');
     this.load = button('Find them', () => this.#load());
     this.element = h('section.panel.stack', { 'aria-label': 'Local optima' },
@@ -25,9 +26,9 @@ export class AtlasOptima {
       const { items, optima } = await page.atlas.optima({ limit: SHOWN });
       const { bodies, best } = page.about;
       say(this.words, `${countOf(optima, 'local optimum', 'local optima')} for ` +
-        `${count(bodies)} bodies: a search that only takes better steps of one voxel ends at ` +
-        `one of them. The ${items.length} with the largest basins, the shares of bodies whose ` +
-        'way up ends there:');
+        `${count(bodies)} bodies: a search that takes only improving one-voxel steps ends at ` +
+        `one of them. The ${items.length} with the largest basins, each with its share ` +
+        'of the bodies:');
       fill(this.list, items.map((one) => page.card(one, {
         label: `Basin of ${countOf(one.basin, 'body', 'bodies')}`, title: voxels(one.voxels),
         words: [meter(one.basin / items[0].basin), h('span.muted', {},

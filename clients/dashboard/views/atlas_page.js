@@ -94,9 +94,9 @@ export class AtlasPage {
       ': draw one, and see where it stands.'),
       h('p.muted', {}, `The score is the ${means}, the mean of ${countOf(n, 'environment')}` +
         `${isImages ? ' and of the body in all its orientations' : ''}: ↓ lower is better` +
-        `${measure ? `, and ${measure.verb} meters follow from it` : ''}. A body's value holds ` +
-        'under this one controller, ', h('code', { title: about.controller },
-        about.controller.slice(0, 8)), ': under another, bodies rank differently.'));
+        `${measure ? `, and meters ${measure.verb} are derived from it` : ''}. Scores hold for ` +
+        'this one controller, ', h('code', { title: about.controller },
+        about.controller.slice(0, 8)), ': with another, bodies rank differently.'));
   }
 
   section(title, words, ...children) {

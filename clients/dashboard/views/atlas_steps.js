@@ -54,8 +54,8 @@ export class AtlasSteps {
   showChanges(body, genotype) {
     const all = body.best_changes;
     const better = all.filter((one) => isLower(one, body)).length;
-    say(this.changesWords, all.length === 0 ? 'No body is one voxel away'
-      : better === 0 ? `Nothing is better: no single voxel added, removed or moved improves it${
+    say(this.changesWords, all.length === 0 ? 'No bodies are one voxel away'
+      : better === 0 ? `Nothing is better: adding, removing or moving a voxel does not improve it${
         this.#bound(body)}`
         : `The best ${all.length}: ${better === all.length ? 'all better'
           : countOf(better, 'better one')}. Click one to go there.`);

@@ -83,7 +83,7 @@ async function prepare(shared) {
     about: (one) => `${one.mode}, ${count(one.settings.population)} designs, ` +
       `${count(one.progress.designs)} born${replicateOf(one)}${submitter(one)}` +
       (own ? `; ranked by ${own.name}` : '') +
-      (one.study?.own_score ? ', which its client computes' : ''),
+      (one.study?.own_score ? ', computed by its client' : ''),
   };
 }
 

@@ -142,7 +142,7 @@ export class CampaignCurves {
       const r = replicates.rows;
       const rx = column(r, (row) => row.generation);
       scores.unshift({
-        name: `mean of ${campaign.group.replicates} replicates, least to most`, kind: 'band',
+        name: `mean of ${campaign.group.replicates} replicates, min to max`, kind: 'band',
         x: rx, y: rx, color: others.length ? '--gray' : '--green', opacity: 0.3,
         low: column(r, ({ mean_score: of }) => inUnit(measure ? of.most : of.least)),
         high: column(r, ({ mean_score: of }) => inUnit(measure ? of.least : of.most)),
@@ -174,7 +174,7 @@ export class CampaignCurves {
       { name: 'crossover', x, y: share('crossover'), color: '--blue', dash: [5, 4] },
     ]);
     charts.size.set([
-      { name: 'voxels, least to most', kind: 'band', x, y: x,
+      { name: 'voxels, min to max', kind: 'band', x, y: x,
         low: column(rows, (row) => row.voxels.least),
         high: column(rows, (row) => row.voxels.most), color: '--blue-softer' },
       { name: 'mean voxels', x, y: column(rows, (row) => row.voxels.mean), color: '--blue' },

@@ -53,7 +53,7 @@ class Report {
     this.report = h('div.stack', { hidden: true }, h('div.certified-grid', {},
       h('section.panel.stack', { 'aria-label': 'Levels' }, h('div.row', {}, h('h2', {}, 'Levels'),
         this.top), h('div.scroll', {}, this.table)),
-      h('section.panel', { 'aria-label': 'What was asked' }, h('h2', {}, 'What was asked'),
+      h('section.panel', { 'aria-label': 'The request' }, h('h2', {}, 'The request'),
         this.asked)), this.designs.element);
     this.element = h('div.stack.certificate', {}, this.verdict, this.report);
   }
@@ -62,7 +62,7 @@ class Report {
     const { certificate, state } = this.job();
     if (!certificate.trials_done) {
       say(this.verdict, isOver({ state }) ? 'It ended before the first level was complete.'
-        : 'The first numbers come when all designs are scored at the base.');
+        : 'The first numbers appear when all designs are scored at the base.');
       return;
     }
     if (this.done === certificate.trials_done) return;

@@ -28,8 +28,8 @@ function badgeOf({ id, class: verdict }, of = '') {
 
 /** Returns the mean in fresh worlds, with its interval. */
 function heldOut({ mean, low, high, worlds, diverged, generation }, shown) {
-  return h('span.muted.held-out', { title: `Mean in ${worlds} fresh worlds that selected ` +
-    `nothing, with its 95 % interval; generation ${generation}` },
+  return h('span.muted.held-out', { title: `Mean in ${worlds} fresh worlds, not used for ` +
+    `selection, with its 95 % interval; generation ${generation}` },
   mean === null ? `fresh worlds: ${diverged} of ${worlds} diverged`
     : `fresh worlds: ${shown(mean)} (${shown(low)} to ${shown(high)})`);
 }

@@ -69,7 +69,7 @@ export class Champions {
     this.signal = signal;
     this.stage = stage;
     this.cards = h('div.grid.small');
-    this.nothing = h('p.empty', {}, 'The first champions come with the first generation.');
+    this.nothing = h('p.empty', {}, 'Champions appear after the first generation.');
     this.chosen = new Map(); // designs by number
     const genotypes = () => [...this.chosen.values()].map(({ genotype }) => genotype);
     this.watch = button('Watch selected', () => app.go('stage', {

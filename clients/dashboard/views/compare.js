@@ -86,12 +86,12 @@ export async function mount(main, path, parameters, app) {
 function robotsIn(parameters) {
   const robots = (parameters.get('designs') ?? '').split(',').filter(Boolean);
   const wrong = robots.find((one) => !/^[0-9a-f]{36}@[0-7]$/.test(one));
-  if (wrong) throw new LinkError(`${wrong.slice(0, 40)} is not a robot: ID@K is expected.`);
+  if (wrong) throw new LinkError(`${wrong.slice(0, 40)} is not a robot; expected ID@K.`);
   if (!robots.length) {
-    throw new LinkError('The link names no robots: designs=ID@K,… is expected.');
+    throw new LinkError('The link names no robots; expected designs=ID@K,….');
   }
   if (robots.length > TRAY_MAX) {
-    throw new LinkError(`There are ${robots.length} robots; at most ${TRAY_MAX} are compared.`);
+    throw new LinkError(`There are ${robots.length} robots; at most ${TRAY_MAX} can be compared.`);
   }
   return [...new Set(robots)];
 }

@@ -93,7 +93,7 @@ export class Comparison {
       const at = (take) => x.map((generation) => take(all.map((one) => one[generation])));
       return [
         ...(all.length > 1
-          ? [{ name: `least to most of ${id}`, kind: /** @type {'band'} */ ('band'), silent: true,
+          ? [{ name: `min to max of ${id}`, kind: /** @type {'band'} */ ('band'), silent: true,
             of: `campaign ${id}`, x, y: x, color: HUES[i], opacity: 0.2,
             low: at((values) => Math.min(...values)), high: at((values) => Math.max(...values)) }]
           : []),
@@ -112,7 +112,7 @@ export class Comparison {
         'their scores cannot be compared.';
     });
     this.note.textContent =
-      `At generation ${generation}, the newest that all have; lower is better.${
+      `At generation ${generation}, the newest that all have reached; lower is better.${
         early.length ? ` Left out, because they ended early: ${early.join(', ')}.` : ''}${
         differing.join('')}`;
     fill(this.body, this.sides.map((side, i) => {

@@ -93,7 +93,7 @@ export function comparison(app, controllers, signal) {
   const link = h('p');
   const element = h('section.panel.stack', {}, h('div.title', {},
     h('h2', {}, 'Compare two controllers'),
-    h('span.muted', {}, 'on bodies and environments that no training draws'), h('div.actions', {},
+    h('span.muted', {}, 'on bodies and environments never used for training'), h('div.actions', {},
       select('First', names, a, (value) => { a = value; }),
       select('Second', other ? names : [['', 'choose one'], ...names], b,
         (value) => { b = value; }),

@@ -42,7 +42,7 @@ export async function mount(main, path, parameters, app) {
     path: 'v1/controllers', morphoctl: 'controller list', python: 'print(m.controllers())',
   }));
   main.replaceChildren(h('div.title', {}, h('h1', {}, 'Controllers'),
-    h('span.muted', {}, 'a training run teaches one, by backpropagation through the simulation'),
+    h('span.muted', {}, 'a training run makes one by backpropagation through the simulation'),
     h('div.actions', {}, copy, startButton(app, 'training', { class: 'primary' }))),
   h('section.panel.scroll', { 'aria-label': 'Files' }, table(
     ['Name', 'File', 'Parameters', 'Sensor', 'Outputs', 'Made by', 'From', 'Stored'], files)),

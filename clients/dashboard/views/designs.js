@@ -31,7 +31,7 @@ async function mountBoard(main, parameters, app) {
   let controller = parameters.get('controller') ?? 'default';
   let order = parameters.get('order') ?? 'best';
   if (!Object.hasOwn(ORDERS, order)) {
-    throw new LinkError(`order=${order}: one of ${Object.keys(ORDERS).join(', ')} is expected.`);
+    throw new LinkError(`order=${order}; expected one of ${Object.keys(ORDERS).join(', ')}.`);
   }
   const controllers = (await getJson('v1/controllers?limit=200')).items.map(({ name }) => name)
     .filter(Boolean);

@@ -1,4 +1,4 @@
-/** Drawing a path: the ground from above, where a stroke, clicks or keys make way-points. */
+/** Drawing a path: the ground from above, where a stroke, clicks or keys make waypoints. */
 
 import { button, h, say, svg } from '../lib/dom.js';
 import { countOf } from '../lib/format.js';
@@ -17,7 +17,7 @@ const STEP_M = 0.1;
 const BOUND = `a path has at most ${POINTS_MAX}`;
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 const HELP = 'Ground of 5 × 5 m from above. Drag to draw a path from the robot, or click to add ' +
-  'a way-point. Keys: the arrows move the cross, Enter adds a way-point there.';
+  'a waypoint. Keys: the arrows move the cross, Enter adds a waypoint there.';
 
 const lengthOf = (points) => points.slice(1).reduce((sum, [x, y], i) =>
   sum + Math.hypot(x - points[i][0], y - points[i][1]), 0);
@@ -26,7 +26,7 @@ const onGround = (value) => Math.round(100 * Math.min(SIDE_M, Math.max(0, value)
 /**
  * Returns the ground to draw on.
  * @param {import('../app.js').app} app
- * @param {number[][]} points the way-points at first
+ * @param {number[][]} points the waypoints at first
  * @param {function(number[][]): any} onchange gets them after each change: 1 to 16
  * @param {boolean} [canRemove] whether the path can be removed; then onchange gets [], too
  */
@@ -72,20 +72,20 @@ export function pathPad(app, points, onchange, canRemove = false) {
     startDialog(app, 'campaign', {}, {}, { world: drawnTask(points) })),
   { hidden: !may('submit') });
 
-  /** Ends a stroke: a click adds a way-point; a longer stroke is a new path. */
+  /** Ends a stroke: a click adds a waypoint; a longer stroke is a new path. */
   function end() {
     const [, [x, y]] = stroke;
     const isClick = stroke.slice(1).every((at) => Math.hypot(at[0] - x, at[1] - y) < CLICK_M);
     const { path, isCoarse } = inFew(stroke, POINTS_MAX + 1);
     stroke = null;
     if (isClick) add([x, y]);
-    else set(path.slice(1), isCoarse ? `Simplified: ${BOUND} way-points. ` : '');
+    else set(path.slice(1), isCoarse ? `Simplified: ${BOUND} waypoints. ` : '');
   }
 
   function add(point) {
     const why = points.length === POINTS_MAX ? BOUND
       : `${point}` === `${points.at(-1) ?? START_M}` ? 'the path already ends there' : '';
-    if (why) show(`No way-point was added: ${why}.`);
+    if (why) show(`No waypoint was added: ${why}.`);
     else set([...points, point]);
   }
 
@@ -97,9 +97,9 @@ export function pathPad(app, points, onchange, canRemove = false) {
   }
 
   const about = () => (points.length
-    ? `This path has ${countOf(points.length, 'way-point')} and is ` +
+    ? `This path has ${countOf(points.length, 'waypoint')} and is ` +
       `${lengthOf([START_M, ...points]).toFixed(1)} m long; most robots walk 1 to 2 m in 4 s.`
-    : `No way-point yet: ${BOUND}.`);
+    : `No waypoint yet: ${BOUND}.`);
 
   /** Shows the path, and what has happened. */
   function show(words) {

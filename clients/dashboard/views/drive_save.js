@@ -73,7 +73,7 @@ function taskSection({ drive, player }, how) {
   };
   return h('details', {}, h('summary', {}, 'The path of the light as a task'),
     h('div.stack', {},
-      h('p', {}, `The path has ${countOf(points.length, 'way-point')}, on the same terrain. ` +
+      h('p', {}, `The path has ${countOf(points.length, 'waypoint')}, on the same terrain. ` +
         'You can score any robot on it, or evolve robots for it. ',
       h('a', { href: link }, 'Watch it on the stage')),
       commandSections([['JSON', JSON.stringify(request.task)],

@@ -109,8 +109,8 @@ class Results {
     }
     if (job.n_skipped > 0) this.#note(`${countOf(job.n_skipped, 'design')} skipped.`);
     if (isCut) {
-      this.#note(`The best ${order.length} of the first ${count(rows.length)} whole scores are ` +
-        `shown, of ${count(job.n_designs)} designs.`);
+      this.#note(`The best ${order.length} of the first ${count(rows.length)} complete scores ` +
+        `are shown, of ${count(job.n_designs)} designs.`);
     } else if (job.n_designs - job.n_skipped > order.length) {
       this.#note(`The best ${order.length} of ${count(job.n_designs)} designs are shown.`);
     }

@@ -7,7 +7,7 @@ import { h } from '../lib/dom.js';
 export const designsIn = (text) => text.split('\n').map((line) => line.trim()).filter(Boolean)
   .map((line) => (line.length === 144 ? { voxels: line } : { id: line }));
 export const DESIGNS_HINT = 'one design per line: a robot (ID@K), an id of 36 digits, or 144 ' +
-  'digits of voxels';
+  'voxel digits';
 
 /** The designs of a finetuning run: fields, their part of the request, and morphoctl's
  * arguments. */

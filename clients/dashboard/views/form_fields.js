@@ -5,7 +5,7 @@ import { h } from '../lib/dom.js';
 /** Names of fields for which the contract's name is unclear. */
 const NAMES = {
   name: 'Name of the new controller', label: 'Label of the job',
-  exclude_pretraining: 'Leave out bodies of pretraining',
+  exclude_pretraining: 'Leave out pretraining bodies',
 };
 /** Studies need a client that makes the children, so there is no form for them. */
 const LEFT_OUT = { mode: ['study'] };
@@ -37,7 +37,7 @@ function unsaid(kind, name, schema) {
   if (schema.default !== undefined) return String(schema.default);
   if (name === 'priority') return 'interactive up to 64 rollouts';
   return ['integer', 'number'].includes(schema.type) && kind !== 'evaluation'
-    ? 'as the preset says' : '';
+    ? 'from the preset' : '';
 }
 
 function inputFor(kind, name, schema, isRequired, controllers) {

@@ -164,8 +164,8 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}, kept = {
       inputOf('controller').options[0].text =
         mode === 'simultaneous' ? 'random weights' : 'default';
       const usual = CAMPAIGN_PRESETS[preset] ?? {};
-      inputOf('population').placeholder = usual.population ?? 'as the preset says';
-      inputOf('generations').placeholder = usual[mode] ?? 'as the preset says';
+      inputOf('population').placeholder = usual.population ?? 'from the preset';
+      inputOf('generations').placeholder = usual[mode] ?? 'from the preset';
     }
     estimate.show({ ...body(true), ...learnedOn?.known() }, items, {
       environments: tasks?.count ?? fixed.environments?.length, isUnknown: learnedOn?.isUnknown });

@@ -97,7 +97,7 @@ export class JobParts {
   async #weigh() {
     const weight = Number(this.weight.value);
     const isDone = await announced(() => post(`v1/jobs/${this.job.id}/weight`, { weight }),
-      `Weight of ${titleOf(this.job)} is ${weight}`);
+      `Weight of ${titleOf(this.job)} set to ${weight}`);
     if (isDone) this.changed();
     else this.weight.value = this.job.weight;
   }
@@ -149,11 +149,11 @@ export function comparedIn(parameters, id) {
   const ids = (parameters.get('compare') ?? '').split(',').filter(Boolean);
   const wrong = ids.find((one) => !/^\d+$/.test(one));
   if (wrong !== undefined) {
-    throw new LinkError(`compare=${wrong}: the number of a job is expected.`);
+    throw new LinkError(`compare=${wrong}; expected a job number.`);
   }
   if (ids.length > COMPARED_MAX) {
-    throw new LinkError(`compare names ${ids.length} jobs; ${COMPARED_MAX} can be compared with ` +
-      `${id} on one page.`);
+    throw new LinkError(`compare names ${ids.length} jobs; at most ${COMPARED_MAX} can be ` +
+      `compared with ${id} on one page.`);
   }
   const twice = ids.find((one, i) => one === id || ids.indexOf(one) !== i);
   if (twice !== undefined) {

@@ -113,7 +113,7 @@ export function jump(pages) {
       id: `jump-${i}`, role: 'option', onclick: () => go(item),
     }, h('span', {}, item.name), h('span.muted', {}, item.about))),
     shown.length ? null : h('li.empty', { role: 'option', 'aria-disabled': 'true' },
-      'Nothing has this name.'));
+      'No matches.'));
     mark(0);
   }
 

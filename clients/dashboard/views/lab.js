@@ -154,8 +154,8 @@ export async function mount(main, path, parameters, app) {
       const body = readBody(text.value);
       change(body.genotype ?? genotypeOfId(body.id));
       if (body.lost) announce(body.lost);
-    }, h('p.wide', {}, 'A robot (ID@K), an id, 144 digits of voxels, a list of cells as ' +
-      '[[x,y,z], …], or an array of EvoGym (it becomes two voxels deep).'),
+    }, h('p.wide', {}, 'A robot (ID@K), an id, 144 voxel digits, a list of cells as ' +
+      '[[x,y,z], …], or an EvoGym array (it becomes two voxels deep).'),
       h('div.stack.wide', {}, text));
   }
 
@@ -178,7 +178,7 @@ export async function mount(main, path, parameters, app) {
     if (next) change(next);
     else announce('The body is at the edge of the workspace.');
   }, { class: 'icon', 'aria-label': `Shift: ${name}`, title: `Shift: ${name}` });
-  const crossing = button('Cross', cross, { title: 'Cross with a body of the tray' });
+  const crossing = button('Cross', cross, { title: 'Cross with a body from the tray' });
 
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Lab'),

@@ -93,7 +93,7 @@ export async function mount(main, path, parameters, app) {
     const at = `v1/fleet/sessions/${session.id}`;
     return h('div.row', {}, button('Drain',
       () => act(() => post(`${at}/drain`), `${session.name} gets no more work`),
-      { 'aria-label': `Drain ${session.name}`, title: 'It finishes its work, and leaves' }));
+      { 'aria-label': `Drain ${session.name}`, title: 'It finishes its work, then leaves' }));
   }
 
   function show(fleet, threads, devices) {
@@ -109,7 +109,7 @@ export async function mount(main, path, parameters, app) {
       ['Computed elsewhere', count(fleet.rollouts_done), 'rollouts since the start'],
       ['Lost', count(fleet.lost), `of ${countOf(fleet.joined, 'session')}; ${again}`],
       ['Compared', count(fleet.audits), fleet.audits_failed
-        ? `${count(fleet.audits_failed)} with other bits`
+        ? `${count(fleet.audits_failed)} with different bits`
         : fleet.audits ? 'leases, all with the same bits' : 'leases computed by two workers'],
     ];
     patch(tiles, all, ([name]) => name, (one) => tile(...one), (element, values) =>

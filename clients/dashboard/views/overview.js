@@ -26,9 +26,9 @@ export async function mount(main, path, parameters, app) {
   const running = h('section.grid', { 'aria-label': 'Running jobs' });
   const events = h('tbody');
   const load = new Chart({
-    title: 'Load of the last hour', xName: 'minutes ago', height: 150, minimum: 0, maximum: 1,
+    title: 'Load over the last hour', xName: 'minutes ago', height: 150, minimum: 0, maximum: 1,
     isWhole: false, xRange: [-LOAD_S / 60, 0], xText: (x) => number(-x), yText: percent,
-    empty: 'The first samples come within seconds.',
+    empty: 'The first samples appear within seconds.',
   });
   const jobRows = h('tbody');
   const titles = new Map(); // of the listed jobs, by id

@@ -21,7 +21,7 @@ function seriesOf(rows, name, color) {
   const x = column(rows, (row) => row.generation);
   const at = (which) => column(rows, (row) => row[name][which]);
   return [
-    { name: 'least to most', kind: /** @type {'band'} */ ('band'), x, y: x, color, opacity: 0.25,
+    { name: 'min to max', kind: /** @type {'band'} */ ('band'), x, y: x, color, opacity: 0.25,
       low: at('least'), high: at('most') },
     { name: 'mean of the replicates', x, y: at('mean'), color },
   ];
@@ -64,7 +64,7 @@ export async function mount(main, id, parameters, app) {
       (deleted > 0 ? `; ${deleted} deleted` : ''));
     app.setTitle(`${titleOf(campaign)}, replicates, ${shortProgress(members.at(-1))}`);
     const early = members.filter(({ state }) => state === 'cancelled' || state === 'failed');
-    say(note, 'The curves end at the newest generation that all have.' + (early.length
+    say(note, 'The curves end at the newest generation that all have reached.' + (early.length
       ? ` Left out, because they ended early: ${early.map((one) => one.id).join(', ')}.` : ''));
     patch(body, members, (one) => one.id, () => h('tr'), (row, one) => {
       const best = one.newest?.score.quantiles.p0;

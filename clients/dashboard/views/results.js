@@ -52,7 +52,7 @@ function suiteTable(job, rows) {
         one.left_out ? h('div.muted', {}, `${one.left_out} left out`) : null])), cell('')));
   }
   return panel(`Tasks of ${job.suite.name}`,
-    `${shownOf(rows, job.n_designs)}; larger is better, standing still gives 0; photo, photo-auc ` +
+    `${shownOf(rows, job.n_designs)}; higher is better, standing still gives 0; photo, photo-auc ` +
     'and damage: share of the distance to the light',
     ['Design', ...tasks.map(({ task }) => task), 'Mean loss'], lines);
 }

@@ -26,7 +26,7 @@ function readLink(parameters) {
   const of = (name, choices) => {
     const value = parameters.get(name) ?? '';
     if (!value || choices.includes(value)) return value;
-    throw new LinkError(`${name}=${value}: one of ${choices.join(', ')} is expected.`);
+    throw new LinkError(`${name}=${value}; expected one of ${choices.join(', ')}.`);
   };
   return {
     search: parameters.get('search') ?? '', kind: of('kind', Object.keys(KINDS)),
@@ -86,7 +86,7 @@ export async function mount(main, [id], parameters, app) {
   // ---- the table ----
 
   const body = h('tbody');
-  const all = h('input', { type: 'checkbox', 'aria-label': 'Select all that are shown',
+  const all = h('input', { type: 'checkbox', 'aria-label': 'Select all shown',
     onchange: () => {
       for (const one of list.items) {
         if (all.checked) chosen.add(one.id);
@@ -209,7 +209,7 @@ export async function mount(main, [id], parameters, app) {
     try {
       await refresh();
     } catch (error) {
-      refusal = `The list could not be loaded; what it shows is older: ${error.message}`;
+      refusal = `The list could not be refreshed and may be out of date: ${error.message}`;
       show();
     }
   }

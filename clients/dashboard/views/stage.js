@@ -59,7 +59,7 @@ export async function mount(main, path, parameters, app) {
       player.setComing(robots.length, of);
       player.setRobots(robots, { keepTime: known || n > 0, isMore: n > 0 });
       player.setNote(robots.length ? '' :
-        'No design is stored yet. Build one in the Lab, or start a campaign.');
+        'No design is stored yet. Build one in the Lab or start a campaign.');
       if (!known && player.stage) player.setView(parameters, n > 0);
       n = robots.length;
     };
@@ -120,13 +120,13 @@ function checkView(parameters, { n, nRobots: count }) {
   const check = (name, isRight, expected) => {
     const value = parameters.get(name);
     if (value !== null && !isRight(value)) {
-      throw new LinkError(`${name}=${value.slice(0, 60)}: ${expected} is expected.`);
+      throw new LinkError(`${name}=${value.slice(0, 60)}; expected ${expected}.`);
     }
   };
   const isBelow = (end) => (value) => /^\d+$/.test(value) && Number(value) < end;
   const isAmong = (names) => (value) => value.split(',').every((one) => names.includes(one));
   check('environment', isBelow(n), `a number from 0 to ${n - 1}`);
-  if (nRobots) check('follow', isBelow(nRobots), `the place of a robot, from 0 to ${nRobots - 1}`);
+  if (nRobots) check('follow', isBelow(nRobots), `the number of a robot, from 0 to ${nRobots - 1}`);
   check('time', (value) => value !== '' && Number(value) >= 0, 'a number of seconds');
   const speeds = SPEEDS.map(([value]) => value);
   check('speed', isAmong(speeds), `one of ${speeds.join(', ')}`);
@@ -144,12 +144,12 @@ async function worldIn(parameters, path = parameters.get('path')) {
   if (!path) return world;
   const points = pointsIn(path);
   if (!points) {
-    throw new LinkError(`path=${path.slice(0, 60)}: 1 to ${POINTS_MAX} way-points are expected, ` +
+    throw new LinkError(`path=${path.slice(0, 60)}; expected 1 to ${POINTS_MAX} waypoints, ` +
       'as x_y,x_y.');
   }
   const task = { guide: { kind: 'path', points_m: points }, objective: 'follow' };
   return {
-    ...world, set: null, words: `${world.words}, with a path of your own`,
+    ...world, set: null, words: `${world.words}, with a custom path`,
     environments: world.environments.map((environment) => {
       const { light_xy_m, sha256, ...ground } = environment;
       return { ...ground, task };
@@ -166,7 +166,7 @@ async function placesIn(parameters) {
   }
   const [, kind, id] = /^(campaign|evaluation)-(\d+)$/.exec(name) ?? [];
   if (!kind) {
-    throw new LinkError(`world=${name.slice(0, 60)}: campaign-N or evaluation-N is expected.`);
+    throw new LinkError(`world=${name.slice(0, 60)}; expected campaign-N or evaluation-N.`);
   }
   return worldOfJob(kind, await getJson(`v1/${kind}s/${id}`));
 }
@@ -207,13 +207,13 @@ async function rollouts(parameters) {
   function choose(changed) {
     const text = h('textarea', { rows: 8, 'aria-label': 'Designs' });
     text.value = ids.join('\n');
-    formDialog('Robots on the stage', 'Let them walk', () => {
+    formDialog('Robots on the stage', 'Watch them walk', () => {
       const lines = text.value.split(/[\s,]+/).filter(Boolean).join(',').toLowerCase();
       if (!lines) throw new Error('Name a design.');
       ids = designsOf(lines);
       changed();
     }, h('p.wide', {}, 'One design per line: a robot (ID@K), an id of 36 digits, or 144 ' +
-      `digits of voxels; at most ${ROBOTS_MAX}.`), h('div.stack.wide', {}, text));
+      `voxel digits; at most ${ROBOTS_MAX}.`), h('div.stack.wide', {}, text));
   }
 
   const how = (environment, controller, output) => ({ world, environment, controller, output });
@@ -294,8 +294,8 @@ function designsOf(text) {
   const all = text.split(',').filter(Boolean);
   const wrong = all.find((one) => !isDesign(one));
   if (wrong) {
-    throw new LinkError(`${wrong.slice(0, 40)} is not a design: a robot (ID@K), an id of 36 ` +
-      'hexadecimal digits, or 144 digits of voxels are expected.');
+    throw new LinkError(`${wrong.slice(0, 40)} is not a design; expected a robot (ID@K), ` +
+      'an id of 36 hexadecimal digits, or 144 voxel digits.');
   }
   checkCount(all.length);
   return all;

@@ -143,7 +143,7 @@ class TrainingCurves {
       const { x, y, low, high } = curveOf(group, curves, along, take);
       const line = { name: group.name || name.replaceAll('_', ' '), color: HUES[i], x, y };
       return group.members.length < 2 ? [line]
-        : [{ name: `least to most${group.of}`, kind: 'band', x, y: x, low, high, color: HUES[i],
+        : [{ name: `min to max${group.of}`, kind: 'band', x, y: x, low, high, color: HUES[i],
           opacity: 0.2 }, line];
     });
     loss.options.empty =

@@ -139,7 +139,7 @@ class Request:
 
 @dataclasses.dataclass(frozen=True)
 class Reply:
-    """A reply that is not a refusal."""
+    """A successful reply."""
 
     status: int
     headers: Mapping[str, str]
@@ -180,8 +180,8 @@ class Retries:
         self.is_reported = False
 
     def report(self, problem: str, answered: bool) -> None:
-        """Reports once on standard error that requests are being retried: at once if the service
-        has never replied, otherwise when the attempts take longer than a restart."""
+        """Reports once on standard error that requests are being retried: immediately if the
+        service has never replied, otherwise when the attempts take longer than a restart."""
         if not self.is_reported and (not answered or self.attempt >= _RESTART_ATTEMPTS):
             self.is_reported = True
             left_s = max(0.0, self.deadline - time.monotonic())

@@ -29,7 +29,7 @@ def numbers(array: NDArray[Any]) -> NDArray[Any]:
     """Returns an array of booleans, integers or floats unchanged. Raises `BodyError` for any
     other."""
     if isinstance(array, np.ma.MaskedArray):
-        raise BodyError("a masked array does not say what its masked voxels are: fill it, as in "
+        raise BodyError("a masked array does not define its masked voxels: fill it, as in "
                         "array.filled(0)")
     if array.dtype.kind not in "biuf":
         what = _UNREADABLE.get(array.dtype.kind, f"{array.dtype}: give booleans")
@@ -60,14 +60,14 @@ def above_half(array: NDArray[Any]) -> NDArray[np.bool_]:
     array = numbers(array)
     wrong = ~np.isfinite(array)
     if wrong.any():
-        raise BodyError(f"{first(array, wrong)}: the numbers must be finite, with a voxel "
-                        "where one is above 0.5")
+        raise BodyError(f"{first(array, wrong)}: the numbers must be finite; a value "
+                        "above 0.5 is a voxel")
     voxels: NDArray[np.bool_] = array > 0.5
     return voxels
 
 
 def materials(values: NDArray[Any], plain: int | None = None) -> tuple[str, ...]:
-    """Returns what is lost when materials become one. `plain`: the material that corresponds to
+    """Returns what is lost when materials are merged. `plain`: the material that corresponds to
     morphod's."""
     kinds = [kind for kind in np.unique(values).tolist() if kind != 0]
     if not kinds or kinds == [plain]:
@@ -76,8 +76,8 @@ def materials(values: NDArray[Any], plain: int | None = None) -> tuple[str, ...]
         return (f"material {kinds[0]} became morphod's only material",)
     shown = ", ".join(str(kind) for kind in kinds[:_SHOWN])
     if len(kinds) > _SHOWN:
-        return (f"{len(kinds)} materials ({shown}, …) became one",)
-    return (f"materials {shown} became one",)
+        return (f"{len(kinds)} materials ({shown}, …) were merged into one",)
+    return (f"materials {shown} were merged into one",)
 
 
 def first(array: NDArray[Any], wrong: NDArray[np.bool_]) -> str:

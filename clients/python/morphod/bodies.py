@@ -1,7 +1,7 @@
 """Bodies: voxel robots in the workspace of 6 × 6 × 4 voxels.
 
 Arrays of booleans or materials, lists of cells, genotypes, ids and EvoGym robots become a `Body`.
-Ambiguous input is refused. morphod has only one material, so all materials become that one;
+Ambiguous input is refused. morphod has only one material, so all materials are merged into it;
 `Body.lost` says what a conversion left out.
 """
 
@@ -42,7 +42,7 @@ OnFault = Literal["refuse", "skip"]
 
 _EMPTY = "a body needs at least one voxel, but this one is empty"
 _BRACKETS = "expected a list of bodies: put this one in brackets"
-_TWO_WAYS = ('Body.evogym(it) reads rows of EvoGym, and {"cells": it} reads cells [x, y, z]')
+_TWO_WAYS = ('Body.evogym(it) reads EvoGym rows, and {"cells": it} reads cells [x, y, z]')
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Body:
     def __post_init__(self) -> None:
         if not isinstance(self.voxels, np.ndarray) or self.voxels.shape != WORKSPACE or (
                 self.voxels.dtype != np.bool_):
-            raise BodyError(f"Body(voxels) takes an array of booleans of the shape {WORKSPACE}; "
+            raise BodyError(f"Body(voxels) takes a boolean array of shape {WORKSPACE}; "
                             "Body.of reads other forms")
 
     @classmethod
@@ -110,7 +110,7 @@ class Body:
         if repair is None:
             return made
         if repair != "largest":
-            raise BodyError(f'repair is "largest" or None, not {repair!r}')
+            raise BodyError(f'repair must be "largest" or None, not {repair!r}')
         kept = largest_pieces(made.voxels[np.newaxis])[0]
         return cls(kept, made.lost + dropped(int(made.voxels.sum() - kept.sum())), made.name)
 
@@ -280,13 +280,14 @@ def _listed(bodies: Any) -> Iterable[Any]:
         if dimensions == 3:
             raise BodyError(_BRACKETS)
         if dimensions != 4 and (dimensions != 1 or bodies.dtype.kind not in "OU"):
-            raise BodyError(f"an array of bodies has the shape (n, 6, 6, 4), not {bodies.shape}" + (
-                f"; of one body, {_TWO_WAYS}" if dimensions == 2 else ": reshape it"))
+            raise BodyError(f"an array of bodies must have the shape (n, 6, 6, 4), not "
+                            f"{bodies.shape}" + (
+                f"; for one body, {_TWO_WAYS}" if dimensions == 2 else ": reshape it"))
     elif isinstance(bodies, memoryview):
-        raise BodyError("memoryview is not a list of bodies: give an array of NumPy, as by "
+        raise BodyError("memoryview is not a list of bodies: give a NumPy array, as from "
                         "np.asarray(it)")
     elif dimensions == 2:
-        raise BodyError("a table is not a list of bodies: give its column of genotypes, such as "
+        raise BodyError("a table is not a list of bodies: give its genotype column, such as "
                         'table["genotype"]')
     if isinstance(bodies, (list, tuple)) and bodies and all(map(_is_cell, bodies)):
         raise BodyError(_BRACKETS)
@@ -363,28 +364,29 @@ def _convert(body: BodyLike) -> Body:
         return _from_array(body)
     if isinstance(body, Sequence) and not isinstance(body, (bytes, bytearray, memoryview)):
         return Body(_from_list(body))
-    how = ("an array of NumPy, as by np.asarray(it)" if getattr(body, "ndim", 0) > 0 else
+    how = ("a NumPy array, as from np.asarray(it)" if getattr(body, "ndim", 0) > 0 else
            "an array, a list of cells, a genotype or an id")
     raise BodyError(f"{type(body).__name__} is not a body: give {how}")
 
 
 def _from_array(array: NDArray[Any]) -> Body:
     if array.ndim == 4:
-        raise BodyError("an array with 4 dimensions has many bodies: take one of them, such as "
+        raise BodyError("an array with 4 dimensions has many bodies: pass one of them, such as "
                         "array[0]")
     if array.ndim == 2:
         if array.shape[1] == 3:
             raise BodyError(f"an array with 3 columns is ambiguous: {_TWO_WAYS}")
-        raise BodyError("an array of a body has 3 dimensions [x, y, z], not 2; Body.evogym(it) "
-                        "reads rows of EvoGym")
+        raise BodyError("the array of a body has 3 dimensions [x, y, z], not 2; Body.evogym(it) "
+                        "reads EvoGym rows")
     if array.shape == (_VOXELS, ):
-        raise BodyError(f"an array of a body has 3 dimensions; of {_VOXELS} numbers give "
+        raise BodyError(f"the array of a body has 3 dimensions; for {_VOXELS} numbers, give "
                         "array.reshape(6, 6, 4)")
     if array.ndim != 3:
-        raise BodyError(f"an array of a body has 3 dimensions [x, y, z], not {array.ndim}")
+        raise BodyError(f"the array of a body has 3 dimensions [x, y, z], not {array.ndim}")
     if array.shape != WORKSPACE and sorted(array.shape) == sorted(WORKSPACE):
-        raise BodyError(f"the shape {array.shape} has the sides of the workspace in another order; "
-                        f"axes are [x, y, z] with the shape {WORKSPACE}: transpose the array")
+        raise BodyError(f"the shape {array.shape} has the sides of the workspace in a different "
+                        f"order; axes are [x, y, z] with the shape {WORKSPACE}: transpose the "
+                        "array")
     voxels, lost = occupied(array)
     return Body(_fitted(voxels), lost)
 
@@ -395,7 +397,7 @@ def _from_text(text: str) -> NDArray[np.bool_]:
     digits = text[1:] if text[:1] == "g" else text
     if len(digits) != _VOXELS or set(digits) - {"0", "1"}:
         raise BodyError(f"a text of {len(text)} characters is neither a genotype (144 digits 0 or "
-                        "1) nor an id (36 hexadecimal digits, perhaps with @0 to @7)")
+                        "1) nor an id (36 hexadecimal digits, optionally with @0 to @7)")
     voxels: NDArray[np.bool_] = voxels_of([digits])[0]
     return voxels
 
@@ -404,15 +406,15 @@ def _from_mapping(body: Mapping[str, Any]) -> Body:
     kinds = set(body) & {"cells", "voxels", "id"}
     others = sorted(map(str, set(body) - {"cells", "voxels", "id", "name", "description"}))
     if len(kinds) != 1 or others:
-        raise BodyError('an object of a body has one of "cells", "voxels" and "id"' + (
-            f", perhaps a name, but no {others[0]!r}" if others else ""))
+        raise BodyError('a body object must have exactly one of "cells", "voxels" and "id"' + (
+            f", optionally a name, but no {others[0]!r}" if others else ""))
     kind = kinds.pop()
     value = body[kind]
     if kind == "cells":
         return Body(_from_cells(value))
     if not isinstance(value, str) or _is_id(value) != (kind == "id"):
-        raise BodyError('"voxels" is a genotype of 144 digits' if kind == "voxels" else
-                        '"id" is an id of 36 hexadecimal digits, perhaps with @0 to @7')
+        raise BodyError('"voxels" must be a genotype of 144 digits' if kind == "voxels" else
+                        '"id" must be an id of 36 hexadecimal digits, optionally with @0 to @7')
     return Body(_from_text(value))
 
 
@@ -420,14 +422,14 @@ def _from_list(rows: Sequence[Any]) -> NDArray[np.bool_]:
     """Returns the voxels of a list of cells. It is refused if it is not in one piece and could be
     an EvoGym robot with three columns."""
     if any(isinstance(row, np.ndarray) and row.ndim > 1 for row in rows):
-        raise BodyError("a list of arrays is not a body: give one of them; of a pair (body, "
-                        "connections) of EvoGym give Body.evogym(pair)")
+        raise BodyError("a list of arrays is not a body: give one of them; for an EvoGym pair "
+                        "(body, connections), give Body.evogym(pair)")
     try:
         voxels = _from_cells(rows)
     except BodyError as error:
         if not _can_be_rows(rows):
             raise
-        raise BodyError(f"{error}; Body.evogym(it) reads rows of EvoGym") from None
+        raise BodyError(f"{error}; Body.evogym(it) reads EvoGym rows") from None
     if _can_be_rows(rows) and (voxels != largest_pieces(voxels[np.newaxis])[0]).any():
         raise BodyError(f"this list is ambiguous: {_TWO_WAYS}")
     return voxels
@@ -448,24 +450,24 @@ def _from_cells(cells: Any) -> NDArray[np.bool_]:
     voxels = np.zeros(WORKSPACE, dtype=np.bool_)
     if isinstance(cells, np.ndarray):
         if numbers(cells).dtype.kind not in "iu" or cells.ndim != 2:
-            raise BodyError("an array of cells has the shape (n, 3), and integers")
+            raise BodyError("an array of cells must have the shape (n, 3) and integers")
     elif not isinstance(cells, Sequence) or isinstance(cells, (str, bytes)):
-        raise BodyError(f"cells are a list [[x, y, z], …], not {type(cells).__name__}")
+        raise BodyError(f"cells must be a list [[x, y, z], …], not {type(cells).__name__}")
     places: dict[tuple[int, ...], int] = {}
     for place, cell in enumerate(cells):
         if not _is_triple(cell):
             raise BodyError(f"cell {place} is not [x, y, z]: {_short(cell)}; np.array(…) makes "
-                            "voxels of nested lists, and Body.evogym(…) reads rows of EvoGym")
+                            "voxels of nested lists, and Body.evogym(…) reads EvoGym rows")
         for axis, (at, side) in enumerate(zip(cell, WORKSPACE)):
             if not _is_integer(at):
-                raise BodyError(f"cell {place} has {_AXES[axis]} = {_short(at)}; a coordinate is "
-                                f"an integer from 0 to {side - 1}")
+                raise BodyError(f"cell {place} has {_AXES[axis]} = {_short(at)}; a coordinate must "
+                                f"be an integer from 0 to {side - 1}")
             if not 0 <= at < side:
                 raise BodyError(f"cell {place} has {_AXES[axis]} = {_short(at)}; the workspace has "
                                 f"0 to {side - 1}")
         x, y, z = (int(at) for at in cell)
         if voxels[x, y, z]:
-            raise BodyError(f"cell {place} is given twice: it equals cell {places[x, y, z]}")
+            raise BodyError(f"cell {place} is a duplicate of cell {places[x, y, z]}")
         voxels[x, y, z] = True
         places[x, y, z] = place
     return voxels
@@ -475,12 +477,12 @@ def _short(value: Any) -> str:
     try:
         text = str(value) if isinstance(value, (float, np.generic)) else repr(value)
     except Exception:  # such as lists nested too deeply
-        return f"of the type {type(value).__name__}"
+        return f"of type {type(value).__name__}"
     return text if len(text) <= 40 else text[:39] + "…"
 
 
 def _fitted(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Returns the voxels in an array of the workspace; empty margins are cut off if necessary."""
+    """Returns the voxels in an array of the workspace; empty margins are removed if necessary."""
     for axis, side in enumerate(WORKSPACE):
         if voxels.shape[axis] <= side:
             continue
@@ -496,7 +498,7 @@ def _fitted(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _lowered(rows: NDArray[Any]) -> NDArray[Any]:
-    """Returns the rows of an EvoGym robot, without empty ones if there are more than fit."""
+    """Returns the rows of an EvoGym robot, without empty rows if there are too many."""
     used = np.flatnonzero((rows != 0).any(axis=1))
     if rows.shape[0] <= WORKSPACE[2] or not used.size:
         return rows

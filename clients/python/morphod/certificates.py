@@ -22,8 +22,8 @@ class CertificateLevel:
 
     `level` says by how much the axis is changed (NaN: the axis has no levels). `tau` is Kendall's
     tau-b between the scores of the designs here and in the base, and `tau_interval` its interval.
-    `top_score` is the mean score here of the base's best designs, and `regret` by how much that is
-    above the mean score of the designs that are best here. `mean_score` leaves out the
+    `top_score` is the mean score here of the base's best designs, and `regret` is how much that
+    exceeds the mean score of the designs that are best here. `mean_score` leaves out the
     `diverged_designs`. Unknown numbers are NaN. `fingerprint` is the class of code and hardware
     that computed the losses.
     """
@@ -103,8 +103,8 @@ class CertificateReport:
     of the request (those of a campaign or an evaluation: best first).
 
     `complete` is false while levels are missing. `top` is the number of designs that the regret is
-    about. `left_out` has the axes that were requested and do not apply, with the reasons, and
-    `axis_notes` what a reader of an axis must know. `data` is the reply, with the names of the
+    for. `left_out` has the requested axes that do not apply, with the reasons,
+    and `axis_notes` caveats for single axes. `data` is the reply, with the names of the
     contract.
     """
 
@@ -118,7 +118,7 @@ class CertificateReport:
         self.left_out = {str(row["axis"]): printable(row["reason"]) for row in data["left_out"]}
         self.axis_notes = {str(row["axis"]): printable(row["note"]) for row in data["axis_notes"]}
         if any(len(design.levels) != len(self.levels) for design in self.designs):
-            raise ValueError("a design has another number of levels than the report")
+            raise ValueError("a design and the report have different numbers of levels")
 
     @reading()
     def frame(self) -> pd.DataFrame:

@@ -22,8 +22,8 @@ def check_results(evaluation: str, rows: Sequence[Mapping[str, Any]],
     asked = [design.get("voxels") for design in designs]
     found = [None if row["repaired"] or row["fault"] else row["genotype"] for row in rows]
     if len(found) != len(asked):
-        raise MorphodError(f"evaluation {evaluation} has {len(found)} results, not the "
-                           f"{len(asked)} that were requested")
+        raise MorphodError(f"evaluation {evaluation} has {len(found)} results, but "
+                           f"{len(asked)} were requested")
     known = [place for place, (one, other) in enumerate(zip(asked, found)) if one and other]
     if not known:
         return
@@ -31,8 +31,8 @@ def check_results(evaluation: str, rows: Sequence[Mapping[str, Any]],
                      for texts in (asked, found))
     wrong = np.flatnonzero((first != second).any(axis=(1, 2, 3)))
     if wrong.size:
-        raise MorphodError(f"result {known[wrong[0]]} of evaluation {evaluation} is for "
-                           "another body than the requested one")
+        raise MorphodError(f"result {known[wrong[0]]} of evaluation {evaluation} is not "
+                           "for the requested body")
 
 
 def _at_corner(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:

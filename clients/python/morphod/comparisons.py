@@ -172,13 +172,14 @@ def short(value: Any) -> str:
 
 
 def require_comparable(a: str, b: str, differences: Sequence[Mapping[str, Any]]) -> None:
-    """Raises an error if scores of campaigns with these differences mean different things."""
+    """Raises an error if scores of campaigns with these differences are not comparable."""
     for one in differences:
         setting = one["setting"]
         if setting == "settings.environments":
             raise MorphodError(
-                f"campaigns {a} and {b} are in different environments: their scores are not "
-                "comparable. Score their champions in the same environments: champions, evaluate")
+                f"campaigns {a} and {b} are in different environments, so their scores are not "
+                "comparable. Score their champions in the same environments: champions(), "
+                "evaluate()")
         if setting.startswith(("own_score", "settings.aggregate")):
             values = ", ".join(map(short, one["values"]))
             raise MorphodError(
@@ -188,9 +189,9 @@ def require_comparable(a: str, b: str, differences: Sequence[Mapping[str, Any]])
         if setting.startswith("settings.physics."):
             values = ", ".join(map(short, one["values"]))
             raise MorphodError(
-                f"campaigns {a} and {b} differ in {setting.removeprefix('settings.')} ({values}): "
-                "their scores are not comparable. Score their champions under one physics: "
-                "champions, evaluate")
+                f"campaigns {a} and {b} differ in {setting.removeprefix('settings.')} ({values}), "
+                "so their scores are not comparable. Score their champions with the same physics: "
+                "champions(), evaluate()")
 
 
 # ---- statistics ----
@@ -327,7 +328,7 @@ def sign_test(lower: int, n: int) -> float:
 
 
 def campaign_verdict(first: Mapping[str, Any], side: Mapping[str, Any]) -> str:
-    """Says what the interval of a side shows."""
+    """Explains what the interval of a side shows."""
     a, b = first["campaign"], side["campaign"]
     if min(len(first["replicates"]), len(side["replicates"])) < 2:
         return (f"Cannot say whether campaign {b} is better than {a}: a confidence interval needs "

@@ -31,22 +31,22 @@ def rows_of(body: Any) -> NDArray[Any]:
     """Returns the materials of a robot as an array [row, column]: integers, or booleans."""
     if not isinstance(body, np.ndarray):
         if not isinstance(body, Sequence) or isinstance(body, (str, bytes)):
-            raise BodyError(f"{type(body).__name__} is not a robot of EvoGym: give rows of "
+            raise BodyError(f"{type(body).__name__} is not an EvoGym robot: give rows of "
                             "materials, from the top")
         try:
             body = np.array(body)
         except ValueError:
-            raise BodyError("the rows of a robot of EvoGym have different lengths") from None
+            raise BodyError("the rows of an EvoGym robot have different lengths") from None
     rows = numbers(body)
     if rows.ndim != 2:
-        raise BodyError(f"a robot of EvoGym has 2 dimensions [row, column], not {rows.ndim}")
+        raise BodyError(f"an EvoGym robot has 2 dimensions [row, column], not {rows.ndim}")
     if rows.dtype.kind == "b":
         return rows
     wrong = ~((rows >= 0) & (rows <= FIXED))  # also for NaN
     if rows.dtype.kind == "f":
         wrong |= rows != np.floor(rows)
     if wrong.any():
-        raise BodyError(f"{first(rows, wrong)}: the materials of EvoGym are 0 (empty) to "
+        raise BodyError(f"{first(rows, wrong)}: EvoGym materials are 0 (empty) to "
                         f"{FIXED} (fixed)")
     return rows.astype(np.int64)
 
@@ -69,15 +69,15 @@ def lost_of(rows: NDArray[Any], connections: Any = None) -> tuple[str, ...]:
     except ValueError:
         pairs = np.empty(0)  # of different lengths
     if pairs.ndim != 2 or pairs.shape[0] != 2 or pairs.dtype.kind not in "iuf":
-        raise BodyError("connections have the shape (2, n), not "
-                        f"{pairs.shape}: pairs of places in the flat body, from 0")
+        raise BodyError("connections must have the shape (2, n), not "
+                        f"{pairs.shape}: pairs of indices into the flat body, from 0")
     if pairs.size and ((pairs != np.floor(pairs)) | (pairs < 0) | (pairs >= rows.size)).any():
-        raise BodyError(f"connections must be places from 0 to {rows.size - 1}")
+        raise BodyError(f"connections must be indices from 0 to {rows.size - 1}")
     joined = {frozenset(pair) for pair in pairs.astype(np.int64).T.tolist()}
     touching = _touching(rows)
     if not joined <= touching:
         pair = sorted(min(joined - touching, key=sorted))
-        raise BodyError(f"connections join the places {pair[0]} and {pair[-1]}, which are not "
+        raise BodyError(f"connections join the indices {pair[0]} and {pair[-1]}, which are not "
                         "adjacent voxels of this body")
     return lost + _apart(len(touching - joined))
 
@@ -109,9 +109,9 @@ class Thing:
         indices = _whole(data["indices"], "indices")
         types = _whole(data["types"], "types")
         if len(indices) != len(types) or not len(indices):
-            raise ValueError("indices and types of an object do not fit")
+            raise ValueError("indices and types of an object do not match")
         if indices.min() < 0 or len(np.unique(indices)) != len(indices):
-            raise ValueError("an index is negative, or given twice")
+            raise ValueError("an index is negative or duplicate")
         z, x = np.divmod(indices, width)
         self.place = (int(x.min()), int(z.min()))
         """Its first column, and its lowest row from the bottom."""

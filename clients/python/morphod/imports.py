@@ -45,7 +45,7 @@ def read_bodies(path: str | os.PathLike[str], names: str | Iterable[str] | None 
 
     `names` selects the bodies to read; without it all are read. Anything that is not a body or does
     not fit the workspace is refused or, with `on_fault="skip"`, left out. `Body.lost` says what was
-    left out, and which materials became one. Raises `BodyError`, which reports the axis on which a
+    left out, and which materials were merged. Raises `BodyError`, which reports the axis on which a
     body is larger than the workspace.
     """
     path = pathlib.Path(path)
@@ -89,14 +89,14 @@ def _bodies(found: Sequence[_Found], names: str | Iterable[str] | None,
         by_name = {one.name: one for one in found}
         missing = [name for name in wanted if name not in by_name]
         if missing:
-            raise BodyError(f"the file has no body {missing[0]!r}, but {_some(list(by_name))}")
+            raise BodyError(f"the file has no body {missing[0]!r}; it has {_some(list(by_name))}")
         found = [by_name[name] for name in wanted]
     else:
         left_out = [f"{one.name} (fixed)" for one in found if one.is_fixed]
         found = [one for one in found if not one.is_fixed]
         if left_out and not found:
-            raise BodyError(f"there are only fixed objects in this file: {_some(left_out)}; names= "
-                            "reads one anyway")
+            raise BodyError(f"this file has only fixed objects: {_some(left_out)}; use names= to "
+                            "read one anyway")
     bodies: list[Body] = []
     for one in found:
         try:
@@ -104,7 +104,7 @@ def _bodies(found: Sequence[_Found], names: str | Iterable[str] | None,
         except BodyError as error:
             if on_fault != "skip" or not bodies and one is found[-1]:
                 raise BodyError(f"{one.name}: {error}" + (
-                    '; names= or on_fault="skip" reads the others' if len(found) > 1 and
+                    '; use names= or on_fault="skip" to read the others' if len(found) > 1 and
                     on_fault != "skip" else "")) from None
             left_out.append(f"{one.name} ({error})")
     if left_out:
@@ -136,8 +136,8 @@ def _world(path: pathlib.Path) -> list[_Found]:
 
 
 def _arrays(path: pathlib.Path) -> list[_Found]:
-    """Returns the arrays of a NumPy file. Pickled objects are not loaded, because they can run
-    programs."""
+    """Returns the arrays of a NumPy file. Pickled objects are not loaded, because they can
+    run code."""
     try:
         loaded = np.load(path, allow_pickle=False)
         if isinstance(loaded, np.ndarray):
@@ -182,14 +182,14 @@ def _voxcraft(path: pathlib.Path) -> _Found:
     structure = next(root.iter("Structure"), None)
     data = structure.find("Data") if structure is not None else None
     if structure is None or data is None:
-        raise BodyError("the file has no Structure with Data: a VXD without one has the body of "
+        raise BodyError("the file has no Structure with Data; a VXD without one uses the body of "
                         "its VXA")
     try:
         sides = [int(structure.findtext(side, "1")) for side in _SIDES]
     except ValueError:
         sides = [0]
     if not all(0 < side <= _SIDE_MAX for side in sides):
-        raise BodyError(f"{', '.join(_SIDES)} are not 1 to {_SIDE_MAX}")
+        raise BodyError(f"{', '.join(_SIDES)} must be 1 to {_SIDE_MAX}")
     layers = data.findall("Layer")
     if len(layers) != sides[2]:
         raise BodyError(f"the file has {len(layers)} layers for Z_Voxels = {sides[2]}")
@@ -215,14 +215,14 @@ def _layer(text: str, compression: str, n: int) -> NDArray[np.uint8]:
         if compression == "ASCII_READABLE":
             digits = np.frombuffer(text.encode("latin-1"), np.uint8) - np.uint8(_ASCII_ZERO)
             if (digits > 9).any():
-                raise BodyError("a layer that is ASCII_READABLE has other characters than digits")
+                raise BodyError("an ASCII_READABLE layer has characters other than digits")
             return _sized(digits, n)
         content = base64.b64decode("".join(text.split()), validate=True)
         if compression in ("ZLIB", "QT_ZLIB"):  # Qt puts the size in front
             unpacker = zlib.decompressobj()
             content = unpacker.decompress(content[4 * (compression == "QT_ZLIB"):], n + 1)
         elif compression != "BASE64":
-            raise BodyError(f"layers of the compression {compression} cannot be read")
+            raise BodyError(f"layers with the compression {compression} cannot be read")
     except (UnicodeEncodeError, binascii.Error, zlib.error) as error:
         raise BodyError(f"a layer is not {compression}: {error}") from None
     return _sized(np.frombuffer(content, np.uint8), n)
@@ -254,12 +254,12 @@ def check_hashes(polycubes: NDArray[Any], hashes: list[str]) -> NDArray[Any]:
     """Returns the bodies (n, X, Y, Z) of a population, after checking the hashes of the first
     bodies: they show whether the axes have the expected order. Each check takes 0.1 ms."""
     if polycubes.ndim != 4 or len(polycubes) != len(hashes):
-        raise BodyError(f"robots/polycubes has the shape {polycubes.shape}, and there are "
+        raise BodyError(f"robots/polycubes has the shape {polycubes.shape}, but there are "
                         f"{len(hashes)} hashes")
     for place, (polycube, stored) in enumerate(zip(polycubes[:100], hashes)):
         if _hash(polycube) != stored:
-            raise BodyError(f"body {place} has another hash than robots/pc_hashes has: the file "
-                            "has another format")
+            raise BodyError(f"body {place} does not match its hash in robots/pc_hashes: the file "
+                            "has a different format")
     return polycubes
 
 
@@ -269,7 +269,7 @@ def _hash(polycube: NDArray[Any]) -> str:
     voxels."""
     cells = np.argwhere(polycube == 1)
     if not cells.size:
-        raise BodyError("a body of the population is empty")
+        raise BodyError("a body in the population is empty")
     low, high = cells.min(axis=0), cells.max(axis=0) + 1
     cut = (polycube == 1)[low[0]:high[0], low[1]:high[1], low[2]:high[2]].astype(np.uint8)
     mirrored = (cut, cut[::-1], cut[:, ::-1])

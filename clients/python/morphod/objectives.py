@@ -29,7 +29,7 @@ class Plan:
                  decode: Callable[[Any], BodyLike] | None, worst: float, maximize: bool) -> None:
         for measure in measures or ():
             if not callable(measure) and measure != _PATH and measure not in _OF_BODY:
-                raise ValueError(f"measure {measure!r} is neither a function nor one of "
+                raise ValueError(f"measure {measure!r} must be a function or one of "
                                  f"{', '.join([*_OF_BODY, _PATH])}")
         self.measures = measures
         self.decode = decode
@@ -49,7 +49,7 @@ class Plan:
                 bodies.append(self._body(solution))
             except BodyError as error:
                 raise BodyError(f"solution {place} is not a body: {error}" + (
-                    "" if self.decode else "; give decode= a function that makes one")) from None
+                    "" if self.decode else "; pass decode=, a function that makes one")) from None
         return bodies, single
 
     def _is_single(self, solutions: Any) -> bool:
@@ -70,7 +70,7 @@ class Plan:
             solution = np.asarray(solution)  # of a table or a tensor
         if isinstance(solution, np.ndarray):
             if solution.ndim != 3 and solution.shape != (_VOXELS, ):
-                raise BodyError(f"an array of the shape {solution.shape}; the shape must be "
+                raise BodyError(f"an array has shape {solution.shape}; it must be "
                                 f"{_SHAPES}")
             voxels = above_half(solution)
             solution = voxels.reshape(WORKSPACE) if voxels.ndim == 1 else voxels
@@ -127,7 +127,7 @@ def _listed(solutions: Any) -> Any:
             isinstance(solutions, np.ndarray) and solutions.ndim > 0):
         return solutions
     if not isinstance(solutions, Iterable) or isinstance(solutions, np.ndarray):
-        raise BodyError(f"{type(solutions).__name__} is not a solution: give an array of the shape "
+        raise BodyError(f"{type(solutions).__name__} is not a solution: give an array of shape "
                         f"{_SHAPES}")
     return list(solutions)
 

@@ -21,7 +21,7 @@ _COLORS = ("#5aa9e6", "#f3a536", "#3fae8c", "#d77fb4", "#a9b4c0", "#e2d04b")
 
 
 class Player:
-    """Robots that walk. It shows itself in a notebook; `save` writes it as one HTML file."""
+    """Walking robots. It shows itself in a notebook; `save` writes it as one HTML file."""
 
     def __init__(self, page: str) -> None:
         self.html = page
@@ -45,7 +45,7 @@ def player_of(index: str, scene: Scene, title: str) -> Generator[str | Player, s
     in return, and finally yields the player. `index` is the text of the dashboard's page."""
     found = re.search(r"assets/[0-9a-f]{16}", index)
     if found is None:
-        raise MorphodError("the service has no dashboard, so there are no players: it runs with "
+        raise MorphodError("there are no players without the dashboard, and the service runs with "
                            "the setting dashboard = off")
     assets = f"/{found[0]}"
     page = yield f"{assets}/export/page.js"
@@ -73,8 +73,8 @@ def player_of(index: str, scene: Scene, title: str) -> Generator[str | Player, s
 def _part(source: str, pattern: str) -> str:
     found = re.search(pattern, source, re.DOTALL)
     if found is None:
-        raise MorphodError("the dashboard of this service has another version than this package: "
-                           "install the package of the service's version")
+        raise MorphodError("this service's dashboard has a different version than this package: "
+                           "install the package version of the service")
     return found[1]
 
 
@@ -122,7 +122,7 @@ def _data(scene: Scene) -> dict[str, Any]:
     robots = []
     for place, rollout in enumerate(scene):
         if rollout.masses_m is None:
-            raise MorphodError('a player needs the masses: record=["masses"]')
+            raise MorphodError('a player needs recorded masses: record=["masses"]')
         robots.append({
             "genotype": scene.designs[rollout.design]["genotype"],
             "label": f"design {rollout.design}",

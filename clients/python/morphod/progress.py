@@ -64,7 +64,7 @@ class Bar:
 
 
 def doing(job: Mapping[str, Any]) -> str:
-    """Describes what a job does while none of its steps ends: "drawing the pretraining's bodies, 2
+    """Describes what a job does while no step is completed: "drawing the pretraining's bodies, 2
     %, 2:20 left"; empty if it has ended."""
     phase, progress = job.get("phase"), job.get("progress") or {}
     if job["state"] == "queued" and job.get("n_waiting"):

@@ -153,7 +153,7 @@ class Result:
     @property
     @reading()
     def values(self) -> NDArray[np.float64]:
-        """One per environment: the score in the unit of the task, larger is better; for `photo`,
+        """One per environment: the score in the unit of the task, higher is better; for `photo`,
         1 minus the loss."""
         return values_of([self.data["losses"]]).ravel()
 
@@ -265,15 +265,15 @@ def children_of(designs: Sequence[Mapping[str, str]], parents: Sequence[Sequence
     if operator is not None:
         columns["operator"] = [operator] * len(designs) if isinstance(operator, str) else operator
     if measures:
-        named = {name: [_finite(f"measure {name!r}", value, "numbers must be finite; NaN stands "
-                                "for no value") for value in values]
+        named = {name: [_finite(f"measure {name!r}", value, "numbers must be finite; NaN means "
+                                "no value") for value in values]
                  for name, values in measures.items()}
         if len(set(map(len, named.values()))) != 1:
             raise ValueError("measures have different numbers of children")
         columns["measures"] = [dict(zip(named, row)) for row in zip(*named.values())]
     if scores is not None:
-        columns["score"] = [_finite("a score", score, "leave the body out, or give it a score "
-                                    "that is worse than all others") for score in scores]
+        columns["score"] = [_finite("a score", score, "leave the body out, or give it a "
+                                    "score worse than all others") for score in scores]
     for name, column in columns.items():
         if len(column) != len(designs):
             raise ValueError(f"{name}: {len(column)} for {len(designs)} children")

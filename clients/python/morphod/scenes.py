@@ -47,7 +47,7 @@ def read_envelope(data: bytes) -> dict[str, Any]:
     that are not a scene, or that end early."""
     length = int.from_bytes(data[:4], "little")
     if len(data) < 4 or len(data) < 4 + length:
-        raise MorphodError("the bytes end before the header of the scene does")
+        raise MorphodError("the scene is truncated: it ends before its header does")
     try:
         header = json.loads(data[4:4 + length])
     except ValueError:
@@ -86,7 +86,7 @@ def _array(described: dict[str, Any], data: bytes, first: int) -> NDArray[Any]:
     count = int(np.prod(described["shape"], dtype=np.int64))
     start = first + described["offset"]
     if start + count * kind.itemsize > len(data):
-        raise MorphodError("the bytes end before the arrays of the scene do")
+        raise MorphodError("the scene is truncated: it ends before its arrays do")
     array: NDArray[Any] = np.frombuffer(data, kind, count, start)
     return array.reshape(described["shape"])
 

@@ -18,9 +18,9 @@ _BLOCK_MAX = 96 << 20
 class Entered:
     """The result of importing a file of scores, in rollouts.
 
-    `new` were not stored before, `known` were stored with the same bits; `different` are stored
-    with other bits and were left out. `differences` has the first ones of each block, as reported
-    by the service.
+    `new` were not stored before, `known` were already stored with the same bits; `different` are
+    stored with different bits and were left out. `differences` has the first ones of each block, as
+    reported by the service.
     """
 
     new: int = 0
@@ -37,7 +37,7 @@ class Entered:
 
 
 def blocks(path: str | os.PathLike[str]) -> Iterator[bytes]:
-    """Yields the blocks of a file, one after the other."""
+    """Yields the blocks of a file one by one."""
     with open(path, "rb") as file:
         while head := file.read(12):
             size = 0

@@ -56,7 +56,7 @@ class Task(dict[str, Any]):
     @classmethod
     def path(cls, points_m: Iterable[Sequence[float]], *, distance_m: float | None = None,
              objective: Goal | None = None) -> Task:
-        """The light leads along a polyline with 1 to 16 way-points (x, y), and waits at each.
+        """The light leads along a polyline with 1 to 16 waypoints (x, y), and waits at each.
         Objective: follow."""
         return cls._of("path", objective, points_m=[list(point) for point in points_m],
                        distance_m=distance_m)

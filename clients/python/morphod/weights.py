@@ -54,7 +54,7 @@ def write_safetensors(tensors: Mapping[str, Any], metadata: Mapping[str, str] | 
         array = np.ascontiguousarray(tensor)
         array = array.astype(array.dtype.newbyteorder("<"), copy=False)
         if array.dtype not in _NAMES:
-            raise MorphodError(f"tensor {name} has the type {array.dtype}; controllers are float32")
+            raise MorphodError(f"tensor {name} has type {array.dtype}; controllers are float32")
         parts.append(array.tobytes())
         header[name] = {"dtype": _NAMES[array.dtype], "shape": list(array.shape),
                         "data_offsets": [at, at + len(parts[-1])]}

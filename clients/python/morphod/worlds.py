@@ -31,7 +31,7 @@ class World(dict[str, Any]):
     """A terrain from a file, as `terrain` of an environment: a profile of heights along x, which
     are the same for every y.
 
-    `lost` says what the file has and the terrain has not. `bodies` are the robots in the file.
+    `lost` lists what the file has and the terrain lacks. `bodies` are the robots in the file.
     `ditches` are the ranges of cells without ground.
     """
 
@@ -59,22 +59,22 @@ def read_world(path: str | os.PathLike[str], *, start_cell: float | None = None,
     """Returns the ground of an EvoGym world (JSON) as a terrain, with its robots.
 
     Everything fixed is ground: the terrain is the surface that a robot walks on from its start,
-    with a height for each cell. Heights count from the ground at the start. Rollouts start at
-    x = 2.5 m; `start_cell` is the cell of the file that is there, from the left, and `start_row`
-    the row of a robot's feet, from the bottom, which matters where there are floors above each
-    other: by default the middle and the lowest row of the file's first robot or, without one, 3.5,
-    as in most tasks of EvoGym, and the lowest floor. A terrain has up to 64 heights, `spacing_m`
-    apart. With 0.1 m, which is exact, it ends 3.8 m after the start; with more, each height is a
-    mean over `spacing_m`. Where there is no ground, it has a ditch, `ditch_m` deeper than the lower
-    of its sides.
+    with a height for each cell. Heights count from the ground at the start. Rollouts start at x =
+    2.5 m; `start_cell` is the cell of the file that is there, from the left, and `start_row` the
+    row of a robot's feet, from the bottom, which matters where floors are stacked: by default the
+    middle and the lowest row of the file's first robot or, without one, 3.5, as in most tasks of
+    EvoGym, and the lowest floor. A terrain has up to 64 heights, `spacing_m` apart. With 0.1 m,
+    which is exact, it ends 3.8 m after the start; with more, each height is a mean over
+    `spacing_m`. Where there is no ground, it has a ditch, `ditch_m` deeper than the lower of its
+    sides.
 
     Objects with actuators and without a fixed voxel are robots: `bodies`, as from `read_bodies`.
-    `lost` of the result says what could not be kept. Raises `BodyError` if the file is no world,
+    `lost` of the result says what could not be kept. Raises `BodyError` if the file is not a world,
     and `MorphodError` if it has no ground.
     """
     path = pathlib.Path(path)
     if not 0.02 <= spacing_m <= 1 or not ditch_m >= 0 or math.isinf(ditch_m):
-        raise ValueError("spacing_m must be 0.02 to 1, and ditch_m 0 or more, and finite")
+        raise ValueError("spacing_m must be 0.02 to 1, and ditch_m finite and at least 0")
     try:
         world = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
@@ -86,12 +86,12 @@ def read_world(path: str | os.PathLike[str], *, start_cell: float | None = None,
               if name not in ground and thing.has(*evogym.ACTUATORS)}
     loose = [name for name in things if name not in ground and name not in robots]
     if not ground:
-        raise MorphodError(f"{path.name} has no ground: none of its objects is fixed "
-                           f"(material {evogym.FIXED}); read_bodies reads its robots")
+        raise MorphodError(f"{path.name} has no ground: no object is fixed (material "
+                           f"{evogym.FIXED}); use read_bodies to read its robots")
     start, row = _start(start_cell, start_row, robots)
     columns = np.flatnonzero(solid.any(axis=0))
     if not columns[0] <= start <= columns[-1] + 1:
-        raise MorphodError(f"the start is at cell {start:g}, but the ground reaches from "
+        raise MorphodError(f"the start is at cell {start:g}, but the ground extends from "
                            f"{columns[0]} to {columns[-1] + 1}; give another start_cell")
     lost: list[str] = []
     surface, ditches = _surface(solid, start, row, lost)
@@ -112,7 +112,7 @@ def _solid(world: Mapping[str, Any], things: Mapping[str, evogym.Thing]) -> NDAr
                         f"objects have {height} rows")
     if width > _SIDE_MAX or height > _SIDE_MAX:
         raise BodyError(f"this world has {width} × {height} cells; at most {_SIDE_MAX} in each "
-                        "direction are read")
+                        "direction are supported")
     solid = np.zeros((height, width), dtype=np.bool_)
     for thing in things.values():
         if thing.has(evogym.FIXED):
@@ -161,7 +161,7 @@ def _surface(solid: NDArray[np.bool_], start: float, row: int | None, lost: list
                 at = floors[0]
                 surface[x] = int(at[0])
     if closed:
-        lost.append(f"the way is closed at cell {min(closed)}: the terrain goes on above it")
+        lost.append(f"the way is blocked at cell {min(closed)}: the terrain continues above it")
     _report_cells(solid, surface, lost)
     return surface, _ranges([x for x in rooms if x not in surface])
 
@@ -246,7 +246,7 @@ def _bodies(robots: Mapping[str, evogym.Thing], surface: Mapping[int, int], lost
         x, z = thing.place
         under = [surface[k] for k in range(x, x + thing.rows.shape[1]) if k in surface]
         if len(bodies) > 1:
-            lost.append(f"the place of robot {name}: every rollout has one robot, at the start")
+            lost.append(f"the position of robot {name}: every rollout has one robot, at the start")
         elif under and z > max(under):
             lower = counted(z - max(under), "cell")
             lost.append(f"robot {name} starts on the ground, {lower} lower")
@@ -287,7 +287,7 @@ def _profile(heights: NDArray[np.float64], first: int, start: float, spacing_m: 
                     "steep")
     if not is_exact:
         lost.append(f"details shorter than {spacing_m:g} m: each height is a mean")
-    lost.append("the ends: the ground goes on at the height of its first and last cell")
+    lost.append("the ends: the ground continues at the height of its first and last cell")
     return {"kind": "profile", "heights_m": [round(float(h) * CELL_M, 9) + 0.0 for h in shown],
             "spacing_m": spacing_m}
 

@@ -122,7 +122,7 @@ int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *ca
     return MO_ERR_INVALID;
   if (!mo_workspace_equal(call->controller->workspace, mo_workspace{6, 6, 4}) ||
       !fits_half(call->controller)) {
-    snprintf(device->error, sizeof(device->error), "not a controller that these kernels do");
+    snprintf(device->error, sizeof(device->error), "these kernels do not support this controller");
     return MO_ERR_UNSUPPORTED;
   }
   mo_device_layout *layout = call->layout;

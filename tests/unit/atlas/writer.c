@@ -243,7 +243,7 @@ static void conflicts(void)
   CHECK_OK(fixture_write(&mo_system_files, path, &source, environments, N, LEVELS, &message));
   CHECK(has_bytes(bytes, size));
   (void)create(&message, MO_ERR_CONFLICT);
-  CHECK_SAYS(message, "exists already");
+  CHECK_SAYS(message, "already exists");
   CHECK(access(part, F_OK) != 0);
 }
 
@@ -260,7 +260,7 @@ static void taken_meanwhile(void)
   CHECK(fputs("somebody's", file) >= 0);
   CHECK_OK(fclose(file));
   CHECK_INT(mo_atlas_writer_finish(writer, &message), MO_ERR_CONFLICT);
-  CHECK_SAYS(message, "exists already: remove it");
+  CHECK_SAYS(message, "already exists: remove it");
   CHECK(has_bytes((const uint8_t *)"somebody's", 10));
   CHECK_OK(unlink(path));
   CHECK_OK(mo_atlas_writer_finish(writer, &message));

@@ -242,7 +242,7 @@ static void held_out_of_sets(void)
     const struct mo_trial *trial = trial_of(&settings, &base, MO_AXIS_HELD_OUT);
     if (i > 0 && i % 2 == 0) {
       CHECK(trial == NULL);
-      CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT), "held-out set already");
+      CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT), "already a held-out set");
       CHECK(!mo_certificate_note(&settings, &base, MO_AXIS_HELD_OUT, &note));
       continue;
     }

@@ -9,7 +9,7 @@
 
 enum { WALKS = 40, PERIODS = 60 };
 
-/* A center of mass that wanders, on a path also to the way-points and past them. */
+/* A center of mass that wanders, on a path also to the waypoints and past them. */
 static void wander(const struct mo_guide *guide, struct mo_random *dice, uint32_t period,
                    double com_m[3])
 {
@@ -108,7 +108,7 @@ static void forward(void)
       CHECK(all.loss == outcome.loss && all.value == outcome.value);
       legs += track.leg;
     }
-  printf("# %u way-points reached, progress kept %u times, at an end %u times\n", legs, kept, set);
+  printf("# %u waypoints reached, progress kept %u times, at an end %u times\n", legs, kept, set);
   CHECK(legs > 0 && kept > 0 && set > 0);
 }
 

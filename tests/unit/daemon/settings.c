@@ -105,7 +105,7 @@ static void file_mistakes(void)
                {"events_kept = 99999999999999999999999",
                 "events_kept: 99999999999999999999999 is not between 1000 and 100000000"},
                {"log_level = debug", NULL},
-               {"log_level = info", "\"log_level\" is set already in line 9"},
+               {"log_level = info", "\"log_level\" is already set in line 9"},
                {"header_timeout = 10 parsecs",
                 "header_timeout: \"10 parsecs\" is not a duration such as 10s"}};
   enum { N_LINES = sizeof(lines) / sizeof(lines[0]) };

@@ -258,7 +258,7 @@ static void tokens(void)
     CHECK(strstr(message.text, bad[i].text) == NULL); /* messages never quote a token */
   }
   CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef", &caller),
-            1); /* the old tokens stay valid */
+            1); /* the old tokens remain in use valid */
   REQUIRE(mo_tokens_set(&set, two + 1, 1, &message) == MO_OK);
   CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef", &caller), 0);
   mo_tokens_free(&set);

@@ -6,7 +6,7 @@
 
 #define TASK_CASES 13
 
-/* Returns task number k. Paths are short enough that bodies at the center reach way-points within
+/* Returns task number k. Paths are short enough that bodies at the center reach waypoints within
  * 200 steps; the long one lies to the side of the body. */
 static inline struct mo_task task_case(uint32_t k)
 {

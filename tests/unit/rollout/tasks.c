@@ -29,7 +29,7 @@ struct oracle {
   double start[3], before[2]; /* centers of mass: at the start, at the last instant */
   double heading_before;
   double corner[MO_GUIDE_POINTS_MAX + 1][2];
-  uint32_t reached; /* way-points */
+  uint32_t reached; /* waypoints */
   double along;     /* progress on the leg to the next one */
   double sum, distance_at_start, progress_at_start;
   uint32_t n; /* instants after the start */
@@ -198,7 +198,7 @@ static void reference(void)
     worst = fmax(worst, fmax(fabs(loss - outcome.loss), fabs(value - outcome.value)));
     CHECK(fabs(outcome.value) > 1e-4 && outcome.loss > 0);
   }
-  printf("# lights differ by at most %.1e m, losses and values by %.1e; %u way-points reached\n",
+  printf("# lights differ by at most %.1e m, losses and values by %.1e; %u waypoints reached\n",
          worst_m, worst, legs);
   CHECK(worst_m <= 1e-12);
   CHECK(worst <= 1e-12);

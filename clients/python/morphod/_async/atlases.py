@@ -26,11 +26,12 @@ _FILE = "application/octet-stream"
 
 
 class AsyncStoredAtlas:
-    """An atlas of the service (docs/atlas.md). `data` is what the service says about it, with the
-    names of the contract. Bodies are given as positions, or as anything that `Body.of` accepts, and
-    returned with the names of the contract.
+    """An atlas of the service (docs/atlas.md). `data` is the service's information about it, with
+    the names of the contract. Bodies are given as positions, or as anything that `Body.of` accepts,
+    and returned with the names of the contract.
 
-    For many questions, `open` gets the file: it answers without the service, in microseconds.
+    For many queries, `open` downloads the file, which answers them without the service, in
+    microseconds.
     """
 
     def __init__(self, connection: AsyncConnection, data: dict[str, Any]) -> None:
@@ -57,13 +58,14 @@ class AsyncStoredAtlas:
 
     async def body(self, where: Where, steps: Iterable[str] | None = None,
                    changes: int | None = None) -> dict[str, Any]:
-        """Returns a body with its losses, its rank in its size, and its best `changes`."""
+        """Returns a body with its losses, its rank among bodies of its size, and its best
+        `changes`."""
         return await self._connection.json(Request.get(
             f"{self._path}/body", **_place(where), **_given(steps=_words(steps), changes=changes)))
 
     async def neighbors(self, where: Where, steps: Iterable[str] | None = None
                         ) -> list[dict[str, Any]]:
-        """Lists the bodies that one step makes of a body, the best first. `steps` are some of
+        """Lists the bodies one step away from a body, best first. `steps` are some of
         `add`, `remove` (both by default) and `move`."""
         return await self._items("neighbors", **_place(where), **_given(steps=_words(steps)))
 
@@ -81,7 +83,7 @@ class AsyncStoredAtlas:
                                                                order=order))
 
     async def similar(self, where: Where, limit: int = 10) -> list[dict[str, Any]]:
-        """Lists the bodies within two steps of adding or removing a voxel, the best first."""
+        """Lists the bodies within two steps of adding or removing a voxel, best first."""
         return await self._items("similar", limit=limit, **_place(where))
 
     async def optima(self, limit: int = 200) -> dict[str, Any]:
@@ -194,7 +196,7 @@ class Atlases:
             Request.get(f"/v1/atlases/{name}")))
 
     async def put_atlas(self, name: str, path: str | os.PathLike[str]) -> AsyncStoredAtlas:
-        """Gives the service an atlas file, which it checks. An atlas with this name is replaced."""
+        """Uploads an atlas file, which the service checks. An atlas with this name is replaced."""
         return AsyncStoredAtlas(self._connection, await self._connection.json(Request(
             "PUT", f"/v1/atlases/{name}/file", content=pathlib.Path(path).read_bytes(),
             headers={"Content-Type": _FILE}, timeout_s=600.0)))

@@ -38,7 +38,7 @@ class AsyncCertificate(AsyncJob):
         return self
 
     async def report(self) -> CertificateReport:
-        """Returns the report; while the job runs, that of the levels that are complete. Raises
+        """Returns the report; while the job runs, it covers the completed levels. Raises
         `ConflictError` if there are none."""
         return CertificateReport(await self._connection.json(
             Request.get(f"{self._list}/{self.id}/report")))
@@ -74,7 +74,7 @@ class Certifying:
         `axes` are some of `precision`, `step`, `held_out`, `chance`, `stiffness`, `mass`, `drag`,
         `gravity`, `actuation`, `friction`, `drop` and `worlds` (all by default); `levels` are the
         factors of each constant, and `ranges` those of the axis `worlds`, such as
-        `{"friction": (0.5, 1.5)}`. `settings` are the other ones of the contract, such as
+        `{"friction": (0.5, 1.5)}`. `settings` are the other settings of the contract, such as
         `held_out`, `worlds`, `chance`, `top`, `weight` and `device` (docs/trust.md)."""
         value = _given(
             environments=environments, controller=controller, physics=physics, seed=seed,

@@ -1,4 +1,4 @@
-"""The client: everything begins here."""
+"""The client, the entry point of the package."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ class AsyncClient(Scoring, Learning, Atlases, Certifying):
 
     async def random_bodies(self, count: int, seed: int | None = None, *,
                             first: int = 0) -> NDArray[np.bool_]:
-        """Returns distinct random bodies (count, 6, 6, 4), as trainings draw them, none a rotation
-        or reflection of another; nothing is stored. A seed (1 by default) has 1,000,000 bodies,
-        always the same; this returns number `first`, `first + 1`, … of them. Two seeds share
-        bodies: for more bodies, increase `first`."""
+        """Returns distinct random bodies (count, 6, 6, 4), drawn as in training, none a rotation or
+        reflection of another; nothing is stored. A seed (1 by default) has 1,000,000 bodies,
+        always the same; this returns numbers `first`, `first + 1`, … Different seeds share
+        bodies, so to get more, increase `first`."""
         if count < 1 or first < 0 or first + count > _RANDOM_BODIES_MAX:
-            raise ValueError(f"a seed has the bodies 0 to {_RANDOM_BODIES_MAX - 1}, got {first} to "
-                             f"{first + count - 1}; count is at least 1")
+            raise ValueError(f"a seed has bodies 0 to {_RANDOM_BODIES_MAX - 1}, got {first} to "
+                             f"{first + count - 1}; count must be at least 1")
         made: list[dict[str, Any]] = []
         for place in range(first, first + count, DESIGNS_MAX):
             made += await self._make("random", {
@@ -122,7 +122,7 @@ class AsyncClient(Scoring, Learning, Atlases, Certifying):
         with reading():
             items: list[dict[str, Any]] = made["items"]
             if not all(isinstance(item, dict) for item in items):
-                raise TypeError("a body of the list is not an object")
+                raise TypeError("a body in the list is not an object")
             return items
 
     def objective(self, measures: Sequence[Any] | None = None, *,
@@ -134,7 +134,7 @@ class AsyncClient(Scoring, Learning, Atlases, Certifying):
 
     async def designs(self, *, sort: Literal["id", "score"] = "score", limit: int = 100,
                       **filters: Any) -> pd.DataFrame:
-        """Returns a table of designs that were ever scored; sorted by score, the best come first.
+        """Returns a table of all designs ever scored; sorted by score, the best come first.
         `filters` are those of GET /v1/designs, such as `controller`, `environments`, and
         `physics="paper"` for scores under the paper's physics."""
         rows = []
@@ -163,9 +163,9 @@ class AsyncClient(Scoring, Learning, Atlases, Certifying):
         a column for the mean of each measure; with `select_by`, such as `{"measure":
         "displacement_m", "direction": "max"}`, the campaign selects by one. With `aggregate`, such
         as `{"kind": "cvar", "level": 0.9}`, the score of a design is not the mean of its losses
-        over the environments, but here that of the worst tenth. With `re_evaluate`, such as
-        `{"every": 10, "environments": 64}`, the best designs are also scored in fresh worlds, which
-        select nothing: `champions()` has these scores without luck.
+        over the environments, but here the mean of the worst tenth. With `re_evaluate`, such as
+        `{"every": 10, "environments": 64}`, the best designs are also scored in fresh worlds that
+        are not used for selection: `champions()` has these scores without luck.
         """
         value: dict[str, Any] = {"mode": mode, "replicates": replicates,
                                  **_given(preset=preset, label=label), **settings}
@@ -240,7 +240,7 @@ class AsyncClient(Scoring, Learning, Atlases, Certifying):
     async def compare_campaigns(self, *campaigns: str | int | AsyncCampaign | AsyncCampaigns
                                 ) -> CampaignComparison:
         """Compares the best scores of campaigns with those of the first one, at the newest
-        generation that all have reached. A campaign stands for its replicates, and their spread
+        generation that all have reached. A campaign stands for its replicates; their spread
         gives the interval. `compare_campaigns(m.campaigns(experiment="B"))` compares each group of
         an experiment.
 

@@ -140,8 +140,8 @@ class AsyncConnection:
         """Returns the JSON object of a reply."""
         value = (await self.send(request)).json()
         if not isinstance(value, dict):
-            raise MorphodError(f"the reply is not a JSON object but a {type(value).__name__}: is "
-                               "this a morphod service?")
+            raise MorphodError(f"expected a JSON object, got {type(value).__name__}: is this "
+                               "a morphod service?")
         return value
 
     async def pages(self, path: str, limit: int = 1000, **params: Any) -> AsyncIterator[Any]:
@@ -153,7 +153,7 @@ class AsyncConnection:
             with reading():
                 items, cursor = list(page["items"]), page["next_cursor"]
                 if not all(isinstance(item, dict) for item in items):
-                    raise TypeError("an item of the list is not an object")
+                    raise TypeError("an item in the list is not an object")
                 if cursor in seen:
                     raise ValueError(f"the list does not end: its cursor {cursor!r} repeats")
                 seen.add(cursor)
@@ -182,7 +182,7 @@ class AsyncConnection:
                         if delay is None:
                             raise refusal(response.status_code, content)
                     elif "text/event-stream" not in response.headers.get("Content-Type", ""):
-                        raise MorphodError("the reply is not a stream of events: is this a morphod "
+                        raise MorphodError("the reply is not an event stream: is this a morphod "
                                            "service?")
                     else:
                         kind, delay = "", _REOPEN_S
@@ -202,7 +202,7 @@ class AsyncConnection:
                         if retries is not None:  # it ended before any data arrived
                             delay = retries.delay(None)
                             if delay is None:
-                                raise UnreachableError("the stream of events ends at once")
+                                raise UnreachableError("the event stream ended immediately")
             except httpx.DecodingError as error:
                 raise undecodable(error) from None
             except httpx.TransportError as error:
@@ -210,7 +210,7 @@ class AsyncConnection:
                 delay = retries.delay(None)
                 if delay is None:
                     raise UnreachableError(
-                        f"the stream of events broke: {printable(error)}") from error
+                        f"the event stream broke off: {printable(error)}") from error
             await anyio.sleep(delay)
 
 

@@ -50,7 +50,8 @@ class AsyncEvaluation(AsyncJob):
         self._require_success()
         if "results" not in self.data:
             raise MorphodError(f"evaluation {self.id} has {len(self):,} designs, too many at once: "
-                               "table() reads their results, table(whole=True) the best ones")
+                               "use table() to read all results, or table(whole=True) for the "
+                               "best ones")
         results: list[dict[str, Any]] = self.data["results"]
         return results
 
@@ -77,7 +78,7 @@ class AsyncEvaluation(AsyncJob):
     @property
     @reading()
     def values(self) -> NDArray[np.float64]:
-        """(designs, environments): the scores in the units of the tasks, larger is better; for
+        """(designs, environments): the scores in the units of the tasks, higher is better; for
         `photo`, 1 minus the loss. NaN where `losses` is."""
         return values_of([row["losses"] for row in self._results])
 
@@ -101,8 +102,8 @@ class AsyncEvaluation(AsyncJob):
         """The designs' ids: their canonical forms; None if there was no body.
 
         A score belongs to one orientation of a design, but an id stands for all of them. To rescore
-        or keep the same robots, use `robots`: an id without an orientation means the one with the
-        best stored score.
+        or keep the same robots, use `robots`, because an id without an orientation means the one
+        with the best stored score.
         """
         return [row["id"] for row in self._results]
 
@@ -130,13 +131,13 @@ class AsyncEvaluation(AsyncJob):
 
     async def suite_table(self) -> pd.DataFrame:
         """Returns the scores of an evaluation in a suite: a row for each robot, a column for each
-        task with the mean value in its unit, larger is better (NaN if a rollout diverged or the
+        task with the mean value in its unit, higher is better (NaN if a rollout diverged or the
         body was skipped), and `mean_loss`, over the tasks that have a loss; `left_out` names the
         others."""
         with reading():
             if "suite" not in self.data:
-                raise MorphodError(f"evaluation {self.id} is not in a suite: table() reads its "
-                                   "results")
+                raise MorphodError(f"evaluation {self.id} is not in a suite: use table() to read "
+                                   "its results")
             names = [task["task"] for task in self.data["suite"]["tasks"]]
         if not self.ended:
             raise MorphodError(f"evaluation {self.id} is {self.state}: wait() for its results")
@@ -156,8 +157,8 @@ class AsyncEvaluation(AsyncJob):
     async def picture(self, designs: Sequence[int] | None = None, *,
                       theme: Literal["light", "dark"] = "light", width: int = 760) -> Svg:
         """Returns a picture of an evaluation in a suite, as the text of an SVG file, which
-        notebooks show: an axis for each task, and a polygon for each of up to 6 designs (default:
-        those with the least mean loss)."""
+        notebooks show: one axis per task, and one polygon for each of up to 6 designs (default:
+        those with the lowest mean loss)."""
         reply = await self._connection.send(Request.get(
             f"{self._list}/{self.id}/picture.svg", accept="image/svg+xml",
             designs=None if designs is None else ",".join(map(str, designs)), theme=theme,
@@ -260,8 +261,8 @@ class AsyncEvaluation(AsyncJob):
         frames, 3), masses (designs, environments, frames, masses, 3) in meters, actuation (designs,
         environments, frames, springs), contacts (designs, environments, frames, masses).
 
-        Designs differ in masses and springs. The array is as large as the largest design needs;
-        entries that a design does not use, and skipped designs, are NaN, -128 in actuation, or 255
+        Designs differ in masses and springs. The array is as large as the largest design
+        needs; unused entries, and skipped designs, are NaN, -128 in actuation, or 255
         in contacts.
         """
         reply = await self._connection.send(Request.get(

@@ -59,7 +59,7 @@ class AsyncTraining(AsyncJob):
         return frame([row async for row in self._connection.pages(path)])
 
     async def each(self) -> pd.DataFrame:
-        """Returns a table of the bodies that a finetuning with `each` has taught alone: their
+        """Returns a table of the bodies that a finetuning with `each` trained individually: their
         scores before (`zero_shot`) and after (`finetuned`), and their controllers. Its `attrs` have
         the summary: Kendall's tau between the two scores and the mean gain, with intervals."""
         path = f"/v1/trainings/{self.id}/each"
@@ -69,7 +69,7 @@ class AsyncTraining(AsyncJob):
         return table
 
     async def controller(self, step: int | None = None) -> Controller:
-        """Returns the result, or while it learns the controller of the newest checkpoint, or the
+        """Returns the result or, while it learns, the controller of the newest checkpoint, or the
         controller of the checkpoint at `step`."""
         reply = await self._connection.send(Request.get(
             f"/v1/trainings/{self.id}/controller", accept="application/octet-stream", step=step))
@@ -104,7 +104,7 @@ class AsyncCampaign(AsyncJob):
         skipped.
         """
         if "founders" not in self.data:
-            raise MorphodError("a list of campaigns does not have their founders: refresh() first")
+            raise MorphodError("campaigns from a list lack their founders: refresh() first")
         return [note for note in self.data["founders"] if note["fault"] is not None]
 
     async def live(self) -> AsyncCampaign:
@@ -190,7 +190,7 @@ class AsyncCampaign(AsyncJob):
         self.data = await self._connection.json(request)
 
     async def show(self, count: int = 4, environment: int = 0) -> Player:
-        """Shows the champions side by side, as they walk now: a player for notebooks."""
+        """Shows the champions walking side by side: a player for notebooks."""
         champions = await self._connection.json(
             Request.get(f"/v1/campaigns/{self.id}/champions", count=count))
         world = world_of(await self._connection.json(
@@ -232,7 +232,7 @@ class AsyncCampaigns:
         return f"<{type(self).__name__} {self._members!r}>"
 
     async def wait(self, timeout_s: float | None = None) -> None:
-        """Waits until all have succeeded; see `wait` of one."""
+        """Waits until all have succeeded; see `Campaign.wait`."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         try:
             for member in self._members:
@@ -242,7 +242,7 @@ class AsyncCampaigns:
             raise interrupted(*self._members) from None
 
     async def live(self) -> AsyncCampaigns:
-        """Shows the progress of all of them until they have ended."""
+        """Shows their progress until all have ended."""
         total = sum(member._steps()[1] for member in self._members)
         try:
             with Bar(f"{len(self)} campaigns", total, " generations") as bar:
@@ -270,7 +270,7 @@ class AsyncCampaigns:
         return self
 
     async def curves(self, stride: int = 1) -> pd.DataFrame:
-        """Returns one tidy table of all their generations; see `curve` of one."""
+        """Returns one tidy table of all their generations; see `Campaign.curve`."""
         return await curves_of(self._connection, [member.id for member in self._members], stride)
 
 
@@ -283,7 +283,7 @@ async def curves(connection: AsyncConnection, stride: int = 1, **which: Any) -> 
 
 async def curves_of(connection: AsyncConnection, ids: Iterable[str | int], stride: int = 1
                     ) -> pd.DataFrame:
-    """Does the same by ids, with as many in a request as fit in an address."""
+    """Does the same by ids, with as many per request as fit in a URL."""
     ascending = sorted({int(id) for id in ids})
     tables = [await curves(connection, stride, campaigns=",".join(map(str, ascending[at:at + 40])))
               for at in range(0, len(ascending), 40)]

@@ -1,4 +1,4 @@
-"""What the jobs of the service have in common, as objects."""
+"""What the service's jobs have in common, as objects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ENDED = ("succeeded", "failed", "cancelled")
 _STATES = ("queued", "running", "paused", *_ENDED)
 POLL_S = 1.0
 AT_ONCE_S = 0.5
-"""If a request that should have waited gets its reply earlier, it is not repeated at once."""
+"""If a request that should have waited is answered early, it is not repeated immediately."""
 
 
 def interrupted(*jobs: AsyncJob) -> KeyboardInterrupt:
@@ -108,8 +108,8 @@ class AsyncJob:
 
     async def wait(self, timeout_s: float | None = None) -> None:
         """Waits until the job has succeeded. Raises `JobError` if it failed or was cancelled, and
-        `WaitError` after `timeout_s`; the job then continues. It does not matter if the service
-        restarts in the meantime."""
+        `WaitError` after `timeout_s`; the job then continues. The service may restart
+        in the meantime."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         try:
             while not self.ended:

@@ -32,8 +32,8 @@ class Learning:
                                          None) = None,
                        environments: Environments | None = None, name: str | None = None,
                        label: str | None = None, **settings: Any) -> AsyncTraining:
-        """Starts the training of a controller on an endless stream of random bodies, in random
-        worlds or in these `environments`, of which each robot of a step gets one. `settings` are
+        """Starts training a controller on an endless stream of random bodies, in random
+        worlds or in these `environments`; each robot of a step gets one. `settings` are
         those of the contract (docs/learning.md), such as `steps`, `batch`, `tasks=["walk"]`,
         `vary={"friction": [0.5, 1.2], "drop_m": [0, 0.2], "slope_degrees": [0, 10]}`."""
         return await self._train("pretrain", settings, preset=preset, environments=environments,
@@ -49,9 +49,9 @@ class Learning:
         as `{"campaign": "12"}`, or `StoredAtlas.sample(500)` for bodies of the whole ranking of an
         atlas; `environments` as in `pretrain`.
 
-        With `each`, every body learns alone, from the same controller, and is scored before and
-        after: see `Training.each()`. The service then stores none of the controllers, all of them
-        (`keep="all"`), or only those of the `best` scores."""
+        With `each`, every body learns individually, starting from the same controller, and is
+        scored before and after: see `Training.each()`. The service then stores none of the
+        controllers, all of them (`keep="all"`), or only those of the `best` scores."""
         settings |= _given(keep=keep, best=best)
         if each:
             settings["each"] = True
@@ -104,8 +104,8 @@ class Learning:
 
     async def held_out(self, seed: int = 1, *, designs: int = 64, environments: int = 16
                        ) -> tuple[NDArray[np.bool_], list[dict[str, Any]]]:
-        """Returns bodies (designs, 6, 6, 4) and environments that no training draws; always the
-        same for a seed."""
+        """Returns bodies (designs, 6, 6, 4) and environments that are never used for training;
+        always the same for a seed."""
         found = await self._connection.json(Request.get(
             "/v1/held-out", seed=seed, designs=designs, environments=environments))
         with reading():

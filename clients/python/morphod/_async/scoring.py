@@ -30,7 +30,7 @@ _LOOK_UP_S = 5.0
 
 
 def _measures(measures: Literal[True] | Sequence[str] | None) -> Any:
-    """As the service wants them, which refuses a single text."""
+    """In the form that the service accepts; it refuses a single text."""
     return measures if measures is None or isinstance(measures, (bool, str)) else list(measures)
 
 
@@ -121,9 +121,9 @@ class Scoring:
                     weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
                     label: str | None = None, experiment: str | None = None) -> pd.DataFrame:
         """Scores bodies in all tasks of the suite morpho-12 (docs/suite.md), as one evaluation.
-        Returns its `suite_table()`: the mean values in the unit of each task, larger is better, and
-        the mean loss. `held_out` takes the 64 held-out worlds of each task, for reports, in place
-        of the ten to select with. To submit it without waiting, use
+        Returns its `suite_table()`: the mean values in the unit of each task, higher is better, and
+        the mean loss. `held_out` uses the 64 held-out worlds of each task, for reports, instead of
+        the ten selection worlds. To submit it without waiting, use
         `evaluate(bodies, "morpho-12", wait=False)`; for a campaign's champions, the campaign's
         `evaluate_champions("morpho-12")`."""
         done = await self.evaluate(bodies, "morpho-12-held-out" if held_out else "morpho-12",
@@ -210,13 +210,13 @@ class Scoring:
             known = await self._connection.json(Request.get(f"/v1/environment-sets/{environments}"))
             world: Mapping[str, Any] = world_of(known, environment)
         elif isinstance(environments, Mapping):
-            raise MorphodError("show needs the name of a set or a list of environments: evaluate "
-                               "in the varied ones first, and show that evaluation")
+            raise MorphodError("show needs the name of a set or a list of environments; for varied "
+                               "ones, evaluate first, then show the evaluation")
         elif -len(environments) <= environment < len(environments):
             world = environments[environment]
         else:
-            raise MorphodError(f"there is no environment {environment}: {len(environments)} are "
-                               "given, counted from 0")
+            raise MorphodError(f"there is no environment {environment}: got {len(environments)}, "
+                               "counted from 0")
         scene = await self.rollouts(bodies, [world], controller=controller,
                                     record_stride=8, physics=physics, repair=repair)
         return await player(self._connection, scene, title)

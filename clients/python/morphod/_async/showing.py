@@ -1,4 +1,4 @@
-"""Robots that walk: the environments and the player that the objects of jobs show them with."""
+"""Walking robots: the environments and the player with which job objects show them."""
 
 from __future__ import annotations
 

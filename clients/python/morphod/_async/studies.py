@@ -1,4 +1,4 @@
-"""Studies: campaigns that a custom search drives, by ask and tell."""
+"""Studies: campaigns driven by a custom search, by ask and tell."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class AsyncStudy(AsyncCampaign):
     """A campaign for which you make the children, batch by batch; otherwise it is like any
     campaign.
 
-    The service commits a batch as a whole, with its scores and the state of your sampler, so that
-    either side may die at any moment. Leaving a `with` block finishes the study. If an exception
+    The service commits a batch as a whole, with its scores and the state of your sampler, so either
+    side may die at any moment. Leaving a `with` block finishes the study. If an exception
     leaves the block, the study stays open, and the same name finds it again.
     """
 
@@ -58,7 +58,7 @@ class AsyncStudy(AsyncCampaign):
                   parents: Iterable[int] | None = None) -> Asked:
         """Returns bodies that this study has never seen, made by the service: children of its
         population or of `parents`, with the mutation and crossover of its settings; random bodies
-        while it is empty. The same question has the same answer until the next batch."""
+        while it is empty. Repeating the call gives the same bodies until the next batch."""
         value = {"n": n, "by": by, "parents": None if parents is None else list(parents)}
         return Asked(await self._connection.json(
             Request.post(f"{self._list}/{self.id}/ask", without_none(value))))
@@ -121,7 +121,7 @@ class AsyncStudy(AsyncCampaign):
             with reading():
                 is_committed = reply["state"] == "committed"
             if not is_committed and self.ended:
-                raise MorphodError(f"study {self.id} has ended without its newest batch")
+                raise MorphodError(f"study {self.id} ended without its newest batch")
             if not is_committed and time.monotonic() - asked < AT_ONCE_S:
                 await anyio.sleep(AT_ONCE_S)
         return Batch(reply)
@@ -148,7 +148,7 @@ class AsyncStudy(AsyncCampaign):
         with reading():
             is_saved = self.data["study"]["sampler"] is not None
         if not is_saved:
-            raise MorphodError(f"batch {batch.number} of study {self.id} came without "
+            raise MorphodError(f"batch {batch.number} of study {self.id} was sent without "
                                "sampler_state, so the sampler cannot be restored; last() returns "
                                "the batch")
         reply = await self._connection.send(Request.get(
@@ -203,7 +203,7 @@ class AsyncStudyObjective:
         return self._plan.write(bodies, self._there(bodies), None, single)
 
     def again(self, batch: Batch) -> Any:
-        """Returns what the call that sent a batch found by `AsyncStudy.restore` would have
+        """Returns what the call that sent a batch, found by `AsyncStudy.restore`, would have
         returned."""
         self.last = batch
         bodies: list[Body | None] = list(batch.bodies)

@@ -25,8 +25,8 @@ class Space:
     """The bodies of a workspace as keys: the key of n voxels is the place of the canonical form
     among all sets of n voxels of the workspace.
 
-    Canonical is the image with the smallest sides (x first), and of those the one whose first
-    differing voxel is empty. Its voxels come later, so its key is the largest.
+    The canonical form is the image with the smallest sides (x first) and, among those, the one in
+    which the first differing voxel is empty. Its voxels come later, so its key is the largest.
     """
 
     def __init__(self, workspace: tuple[int, int, int], voxels_max: int) -> None:
@@ -109,8 +109,8 @@ class Space:
         return n, self.sets[n] - 1 - later
 
     def _form(self, packed: int) -> int | None:
-        """Returns the canonical form in the grid. An aligned image is the greater, the earlier its
-        voxels are."""
+        """Returns the canonical form in the grid. The earlier the voxels of an aligned image, the
+        greater it is."""
         side, grid = self._side, self._grid
         nx, ny, nz = self.workspace
         projections = packed >> IMAGES * grid
@@ -238,7 +238,7 @@ def stays_whole(cells: NDArray[np.int16]) -> NDArray[np.bool_]:
 
 
 def is_whole(cells: Iterable[Cell]) -> bool:
-    """Returns whether cells are one piece; no cells are not."""
+    """Returns whether cells are one piece; an empty list is not."""
     left = set(cells)
     if not left:
         return False

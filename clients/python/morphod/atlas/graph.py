@@ -17,7 +17,7 @@ _CHUNK = 1 << 15  # bodies whose changes are in memory at one time
 
 
 class Bodies(Protocol):
-    """What is used of an atlas."""
+    """The parts of an atlas that are used here."""
 
     @property
     def voxels_max(self) -> int: ...

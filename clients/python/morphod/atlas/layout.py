@@ -46,7 +46,7 @@ class AtlasError(MorphodError, ValueError):
 
 @dataclasses.dataclass(frozen=True)
 class Head:
-    """What a file says about itself."""
+    """The information in a file's head."""
 
     workspace: tuple[int, int, int]
     voxels_max: int
@@ -122,8 +122,9 @@ def read_head(data: NDArray[np.uint8]) -> Head:
         raise AtlasError("the atlas file has another byte order: write it on a little-endian "
                          "machine")
     if version not in (VERSION, MEASURED):
-        raise AtlasError(f"the atlas file has version {version}, and this package reads versions "
-                         f"{VERSION} and {MEASURED}: use the package of the program that wrote it")
+        raise AtlasError(f"the atlas file has version {version}; this package reads versions "
+                         f"{VERSION} and {MEASURED}: use the package version of the program that "
+                         "wrote it")
     bits = 0
     if version == MEASURED:  # the checksum comes after the measures
         bits, raw = total, bytes(data[:_HEAD.size + _WORD.size])
@@ -139,8 +140,8 @@ def read_head(data: NDArray[np.uint8]) -> Head:
     if not sound:
         raise AtlasError(f"the head of the atlas file is damaged: {_REMEDY}")
     if bits >> len(MEASURES):
-        raise AtlasError("the atlas file has measures that this package does not know: use the "
-                         "package of the program that wrote it")
+        raise AtlasError("the atlas file has unknown measures: use the package version "
+                         "of the program that wrote it")
     head = Head((nx, ny, nz), voxels_max, _ORIENTATIONS[orientations], n_environments,
                 environments_bytes, tuple(counts[:voxels_max]), controller.hex(), physics.hex(),
                 environments.hex(), fingerprint.partition(b"\0")[0].decode("ascii", "replace"),
@@ -148,7 +149,7 @@ def read_head(data: NDArray[np.uint8]) -> Head:
     should = _begin_of_blocks(head) + sum(
         bytes_of for _, _, _, bytes_of in _blocks(head, _begin_of_blocks(head)))
     if should != len(data):
-        raise AtlasError(f"the atlas file has {len(data)} bytes, and should have {should}: "
+        raise AtlasError(f"the atlas file has {len(data)} bytes, but should have {should}: "
                          f"{_REMEDY}")
     return head
 
@@ -168,8 +169,8 @@ def _blocks(head: Head, begin: int) -> Iterator[tuple[int, int, int, int]]:
 
 
 def read_blocks(data: NDArray[np.uint8], head: Head) -> list[Block]:
-    """Returns views of all blocks. Raises `AtlasError` if the head of a block is not the one that
-    the head of the file says."""
+    """Returns views of all blocks. Raises `AtlasError` if the head of a block does not match
+    the head of the file."""
     blocks = []
     position = 0
     for voxels, n, begin, _ in _blocks(head, _begin_of_blocks(head)):
@@ -192,13 +193,13 @@ def read_blocks(data: NDArray[np.uint8], head: Head) -> list[Block]:
 
 
 def _are_wrong(values: NDArray[np.float32]) -> bool:
-    """Whether values of a measure are infinite, or another NaN than the one of the format."""
+    """Whether values of a measure are infinite, or a NaN other than the format's."""
     return bool((~np.isfinite(values) & (values.view("<u4") != _NO_VALUE)).any())
 
 
 def check_all(data: NDArray[np.uint8], head: Head, blocks: list[Block]) -> None:
-    """Checks every byte of a file: checksums, keys that ascend, numbers that are numbers. Raises
-    `AtlasError`."""
+    """Checks every byte of a file: checksums, the order of keys, and that values are numbers.
+    Raises `AtlasError`."""
     begin = _begin_of_blocks(head)
     if hashlib.sha256(bytes(data[head.head_bytes:begin])).hexdigest() != head.environments_sha256:
         raise AtlasError(f"the environments of the atlas file are damaged: {_REMEDY}")

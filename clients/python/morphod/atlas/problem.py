@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 Outside = Literal["infinite", "raise"]
-"""What the loss of a body outside the atlas is: +infinity, or an `OutsideError`."""
+"""The loss of a body outside the atlas: +infinity, or an `OutsideError`."""
 
 
 class BudgetError(MorphodError):
-    """The budget of a problem is spent."""
+    """The budget of a problem is exhausted."""
 
 
 class Measures(NamedTuple):
-    """What describes a body, for archives of diverse ones: its voxels, its footprint (columns with
+    """A body's descriptors, for archives of diverse bodies: its voxels, its footprint (columns with
     a voxel) and its height in voxels."""
 
     voxels: int
@@ -36,11 +36,11 @@ class Measures(NamedTuple):
 class Problem:
     """Find the body with the lowest loss of an atlas.
 
-    Every body that is evaluated counts, also one that was evaluated before and one outside the
-    atlas. `evaluations` is their number, `distinct` the number of different bodies of the atlas
-    among them, and `outside` how many were outside. A body outside
-    (too large, in several pieces, empty) has the loss +infinity or, with `outside="raise"`, is an
-    `OutsideError`; it is never repaired. `decode` makes a body inside of any vector of numbers.
+    Every evaluated body counts, including one that was evaluated before and one outside the atlas.
+    `evaluations` is their number, `distinct` the number of different bodies of the atlas among
+    them, and `outside` how many were outside. A body outside (too large, in several pieces, empty)
+    has the loss +infinity or, with `outside="raise"`, is an `OutsideError`; it is never repaired.
+    `decode` makes a body of the atlas from any vector of numbers.
 
     `regret` is exact: how much the best loss so far is above the optimum.
     """
@@ -48,7 +48,7 @@ class Problem:
     def __init__(self, atlas: Atlas, *, outside: Outside = "infinite",
                  budget: int | None = None) -> None:
         if outside not in ("infinite", "raise"):
-            raise ValueError(f'outside is "infinite" or "raise", not {outside!r}')
+            raise ValueError(f'outside must be "infinite" or "raise", not {outside!r}')
         self.atlas = atlas
         self.budget = budget
         self._raises = outside == "raise"
@@ -57,7 +57,7 @@ class Problem:
         self.optimum_loss = atlas.score(self.optimum)
         nx, ny, nz = atlas.workspace
         self.dimensions = nx * ny * nz
-        """Numbers that `decode` takes."""
+        """How many numbers `decode` takes."""
         voxels = np.arange(self.dimensions).reshape(nx, ny, nz)
         self._near: list[list[int]] = [[] for _ in range(self.dimensions)]
         for axis in range(3):
@@ -101,7 +101,7 @@ class Problem:
 
     def evaluate_all(self, bodies: NDArray[np.bool_] | Sequence[BodyLike]) -> NDArray[np.float64]:
         """Returns the losses of many bodies, fastest for an array (n, x, y, z) of booleans. With
-        `outside="raise"`, the first body outside is the error, and all count."""
+        `outside="raise"`, the first body outside raises the error, and all count."""
         before = self.evaluations
         self._spend(len(bodies))
         positions = self.atlas.find_all(bodies)
@@ -118,8 +118,8 @@ class Problem:
 
     def _spend(self, n: int) -> None:
         if self.budget is not None and self.evaluations + n > self.budget:
-            raise BudgetError(f"the budget of {self.budget} evaluations is spent: "
-                              f"{self.evaluations} are counted, and {n} are asked for")
+            raise BudgetError(f"the budget of {self.budget} evaluations is exhausted: "
+                              f"{self.evaluations} were used, and {n} more are requested")
         self.evaluations += n
 
     def _improve(self, evaluations: int, loss: float, position: int) -> None:
@@ -162,8 +162,8 @@ class Problem:
         genotype.
 
         It grows from the voxel with the largest number. The free voxel with the largest number next
-        to it is added while that number is positive and the body has less than the most voxels. So
-        every vector makes a body of the atlas, and every body has vectors.
+        to it is added while that number is positive and the body has fewer than the most voxels. So
+        every vector makes a body of the atlas, and every body can be made from some vector.
         """
         numbers = np.asarray(values, dtype=np.float64).ravel()
         if numbers.shape != (self.dimensions, ) or np.isnan(numbers).any():

@@ -32,8 +32,8 @@ _STEPS = ("add", "remove", "move")
 class OutsideError(BodyError):
     """A body is not in the atlas.
 
-    `reason` is `empty`, `voxels` (it has more than the atlas has), `workspace` (it does not fit) or
-    `pieces` (it is not in one piece).
+    `reason` is `empty`, `voxels` (it has too many), `workspace` (it does not fit) or `pieces`
+    (it is not in one piece).
     """
 
     def __init__(self, message: str, reason: str) -> None:
@@ -46,7 +46,7 @@ class OutsideError(BodyError):
 
 @dataclasses.dataclass(frozen=True)
 class Neighbor:
-    """A body that one step makes of another: `step` is `add`, `remove` or `move`."""
+    """A body one step away from another: `step` is `add`, `remove` or `move`."""
 
     position: int
     score: float
@@ -55,7 +55,7 @@ class Neighbor:
 
 @dataclasses.dataclass(frozen=True)
 class Similar:
-    """A body that `distance` steps of adding or removing a voxel make of another: 1 or 2."""
+    """A body that is `distance` steps (1 or 2) of adding or removing a voxel away from another."""
 
     position: int
     score: float
@@ -64,7 +64,8 @@ class Similar:
 
 @dataclasses.dataclass(frozen=True)
 class Rank:
-    """How many bodies have a lower (`better`), an equal (others) and a higher score (`worse`)."""
+    """How many other bodies have a lower (`better`), an equal (`equal`) and a higher score
+    (`worse`)."""
 
     better: int
     equal: int
@@ -77,7 +78,7 @@ class Rank:
 
     @property
     def percentile(self) -> float:
-        """Of the other bodies, how many are worse, and half of the equal ones, in percent."""
+        """The percentage of the other bodies that are worse, plus half of those that are equal."""
         others = self.better + self.equal + self.worse
         return 100 * (self.worse + self.equal / 2) / others if others else 100.0
 
@@ -151,7 +152,7 @@ class Atlas:
         if voxels is None:
             return range(len(self))
         if not 1 <= voxels <= self.voxels_max:
-            raise OutsideError(f"the atlas has bodies of 1 to {self.voxels_max} voxels, not of "
+            raise OutsideError(f"the atlas has bodies of 1 to {self.voxels_max} voxels, not "
                                f"{voxels}", "voxels")
         return range(self._firsts[voxels - 1], self._firsts[voxels])
 
@@ -240,8 +241,8 @@ class Atlas:
             return OutsideError(f"this body has {len(cells)} voxels; the atlas has bodies of at "
                                 f"most {self.voxels_max}", "voxels")
         if not is_whole(cells):
-            return OutsideError("this body is not in one piece; the atlas has only bodies that are",
-                                "pieces")
+            return OutsideError("this body is not in one piece; the atlas has only bodies in one "
+                                "piece", "pieces")
         return OutsideError(f"this body does not fit the atlas's workspace of {self.workspace}",
                             "workspace")
 
@@ -288,7 +289,7 @@ class Atlas:
         return self._space.cells_of(self.keys(voxels)[positions - self._firsts[voxels - 1]], voxels)
 
     def keys(self, voxels: int) -> NDArray[np.uint64]:
-        """The keys of a size in one array, a copy that is kept."""
+        """The keys of a size in one array, a cached copy."""
         if self._all_keys is None:
             self._all_keys = np.concatenate([block.keys for block in self._blocks])
             self._all_keys.flags.writeable = False
@@ -304,7 +305,7 @@ class Atlas:
         return score
 
     def scores(self, voxels: int | None = None) -> NDArray[np.float32]:
-        """The scores of a size, or of all bodies, in one array, a copy that is kept; `blocks` has
+        """The scores of a size, or of all bodies, in one array, a cached copy; `blocks` has
         the arrays of the file itself."""
         if self._all_scores is None:
             self._all_scores = np.concatenate([block.scores for block in self._blocks])
@@ -329,7 +330,7 @@ class Atlas:
         return float(self._of_size[n][block].measures[self._known(name)][i])
 
     def all_measures(self, name: str, voxels: int | None = None) -> NDArray[np.float32]:
-        """A measure of a size, or of all bodies, in one array, a copy that is kept; `blocks` has
+        """A measure of a size, or of all bodies, in one array, a cached copy; `blocks` has
         the arrays of the file itself."""
         if name not in self._all_measures:
             values = np.concatenate([block.measures[self._known(name)] for block in self._blocks])
@@ -339,8 +340,8 @@ class Atlas:
         return self._all_measures[name][span.start:span.stop]
 
     def measure_percentile(self, name: str, where: Where) -> float:
-        """Of the other bodies with as many voxels that have a value, how many have a lower one, and
-        half of those with an equal one, in percent; 100 if there are no others, NaN if the body has
+        """The percentage of the other bodies of the same size with a value that have a lower
+        one, plus half of those with an equal one; 100 if there are no others, NaN if the body has
         no value."""
         position = self.position(where)
         value = np.float32(self.measure(name, position))
@@ -356,7 +357,7 @@ class Atlas:
         """The positions of the k bodies with the highest values of a measure, or with the lowest;
         of equal values the lowest position. Bodies without a value come last."""
         if order not in ("descending", "ascending"):
-            raise ValueError(f"order is descending or ascending, not {order!r}")
+            raise ValueError(f"order must be descending or ascending, not {order!r}")
         values = self.all_measures(name, voxels)
         found = np.argsort(-values if order == "descending" else values, kind="stable")[:k]
         return found.astype(np.int64) + self.positions(voxels).start
@@ -393,7 +394,7 @@ class Atlas:
         return self.rank(where, within_size=within_size).percentile
 
     def best(self, k: int = 1, voxels: int | None = None) -> NDArray[np.int64]:
-        """The positions of the k best bodies, or as many as there are."""
+        """The positions of the k best bodies, or all if there are fewer."""
         return self.order(voxels)[:k]
 
     def histogram(self, edges: ArrayLike, voxels: int | None = None, *,
@@ -402,7 +403,7 @@ class Atlas:
         ascending; they are rounded to float32, as scores are."""
         bounds = np.asarray(edges, dtype=np.float32)
         if bounds.ndim != 1 or len(bounds) < 2 or not (bounds[1:] >= bounds[:-1]).all():
-            raise ValueError("edges are at least two ascending numbers")
+            raise ValueError("edges must be at least two ascending numbers")
         ordered = (self._sorted(voxels)[1] if measure is None
                    else np.sort(self.all_measures(measure, voxels)))
         return np.diff(np.searchsorted(ordered, bounds))
@@ -430,7 +431,7 @@ class Atlas:
     # ---- neighbors ----
 
     def neighbors(self, where: Where, steps: Iterable[str] = GROW_SHRINK) -> list[Neighbor]:
-        """Lists the bodies that one step makes of a body, each once, the best first. `steps` are
+        """Lists the bodies one step away from a body, each once, best first. `steps` are
         some of `add`, `remove` and `move`."""
         wanted = _checked(steps)
         position = self.position(where)
@@ -478,7 +479,7 @@ class Atlas:
         return path
 
     def similar(self, where: Where) -> list[Similar]:
-        """Lists the bodies within two steps of adding or removing a voxel, the best first. A moved
+        """Lists the bodies within two steps of adding or removing a voxel, best first. A moved
         voxel is two steps."""
         position = self.position(where)
         found = {position: 0}
@@ -531,5 +532,5 @@ class Atlas:
 def _checked(steps: Iterable[str]) -> set[str]:
     wanted = {steps} if isinstance(steps, str) else set(steps)
     if not wanted or wanted - set(_STEPS):
-        raise ValueError(f"steps are some of {', '.join(_STEPS)}, not {sorted(wanted)}")
+        raise ValueError(f"steps must be from {', '.join(_STEPS)}, got {sorted(wanted)}")
     return wanted
