@@ -229,8 +229,8 @@ def figure(path, rows, methods, budget, caption):
 
 
 def speed(path, rounds=5, n=5000):
-    """Yields lines: the times of what is computed once, and the least time of some rounds for each
-    call of a problem. Processor time: the machine may be busy."""
+    """Yields lines: the times of one-time computations, and the shortest time in several rounds for
+    each call of a problem. These are CPU times, because the machine may be busy."""
     from morphod.atlas import Atlas, Problem
     began = time.process_time()
     atlas = Atlas.open(path)

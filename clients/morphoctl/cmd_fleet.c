@@ -32,7 +32,7 @@ static void print_fleet(const struct ctl *ctl, const json_t *fleet)
       {"rollouts",
        "{rollouts_done:,} done, {rollouts_out:,} in flight, {rollouts_per_s:.0f} per second"},
       {"leases", "{leases_done:,} done, {leases:,} in flight, {leases_again:,} reissued"},
-      {"audits", "{audits:,}, {audits_failed:,} with other bits"},
+      {"audits", "{audits:,}, {audits_failed:,} with different bits"},
       {"lost", "{lost:,} of {joined:,} sessions"},
       {NULL, NULL}};
   if (!json_is_true(json_object_get(fleet, "listening"))) {

@@ -186,8 +186,7 @@ static bool asks(struct ctl *ctl)
   if (!isatty(STDIN_FILENO))
     fail(STATUS_USAGE, "standard input is not a terminal: use --yes to confirm");
   fputs("Results, recordings, curves and phylogeny are deleted permanently; designs, scores and "
-        "controllers "
-        "stay.\nDelete? [y/N] ",
+        "controllers are kept.\nDelete? [y/N] ",
         stderr);
   return fgets(answer, sizeof(answer), stdin) != NULL &&
          (strcmp(answer, "y\n") == 0 || strcmp(answer, "yes\n") == 0);

@@ -98,7 +98,7 @@ static json_t *make_request(struct ctl *ctl, const char **path)
   if (campaign == NULL) {
     const json_t *random = random_of(ctl, "seed", RANDOM_BODIES_MAX);
     if (option_is_set(ctl, "count"))
-      fail(STATUS_USAGE, "--count needs --campaign ID, the campaign whose champions to score");
+      fail(STATUS_USAGE, "--count needs --campaign ID, which selects the champions to score");
     if (random != NULL && ctl->n_operands == 0)
       json_object_set(request, "random", (json_t *)random);
     else

@@ -449,16 +449,16 @@ const struct command commands[] = {
      made_options},
     {"job list", "", "List jobs, newest first.", run_list, NULL, job_list_options},
     {"job show", "ID", "Show a job.", run_job_show, NULL, job_show_options},
-    {"job cancel", "ID...", "Cancel jobs.", run_job_change, "Scores stored so far stay."},
+    {"job cancel", "ID...", "Cancel jobs.", run_job_change, "Scores stored so far are kept."},
     {"job pause", "ID...", "Pause jobs.", run_job_change},
     {"job resume", "ID...", "Resume paused jobs.", run_job_change,
      "This includes failed trainings and campaigns."},
     {"job prune", "ID...", "Delete the recordings of evaluations that have ended.", run_job_prune,
-     "Scores stay. The server deletes the oldest recordings automatically when all of them exceed "
-     "its limit (max_recordings)."},
+     "Scores are kept. The server deletes the oldest recordings automatically when all of them "
+     "exceed its limit (max_recordings)."},
     {"job weight", "ID X", "Change a job's share of the cores.", run_job_weight,
      "0.001 to 1000; a job with twice the weight of another gets twice the time. It takes "
-     "effect at once, even while the job runs."},
+     "effect immediately, even while the job runs."},
     {"job label", "ID [TEXT]", "Set a job's label; without TEXT, print it.", run_job_text, NULL,
      job_text_options},
     {"job experiment", "ID [NAME]", "Set the experiment of a job; without NAME, print it.",
@@ -469,9 +469,9 @@ const struct command commands[] = {
     {"job archive", "ID...", "Hide jobs from lists.", run_job_archive, "Nothing else changes."},
     {"job restore", "ID...", "Show archived jobs in lists again.", run_job_archive},
     {"job delete", "ID...", "Permanently delete jobs that have ended.", run_job_delete,
-     "Shows what will be deleted, and asks for confirmation. Designs, scores and controllers stay. "
-     "A job that another job needs is not deleted: exit status 3. Delete the first replicate of a "
-     "group last.",
+     "Shows what will be deleted, and asks for confirmation. Designs, scores and controllers are "
+     "kept. A job that another job needs is not deleted: exit status 3. Delete the first replicate "
+     "of a group last.",
      job_delete_options},
     {"usage", "", "Show how much core and device time jobs have used.", run_usage,
      "Deleted jobs are included.", usage_options},
@@ -480,7 +480,7 @@ const struct command commands[] = {
      "a job, the exit status is 0 if it succeeded, 3 if not.",
      watch_options},
     {"wait", "JOB...", "Wait until jobs have ended.", run_wait,
-     "Waits through restarts of the server. Exit status: 0 if all succeeded, 3 if one failed, was "
+     "Keeps waiting if the server restarts. Exit status: 0 if all succeeded, 3 if one failed, was "
      "cancelled or does not exist, 1 if the command of --run failed, 4 if the server was "
      "unreachable for an hour, or for the time in --retry. A paused job has not ended.",
      wait_options},
@@ -501,7 +501,7 @@ const struct command commands[] = {
     {"train pause", "ID...", "Pause trainings, with a checkpoint.", run_job_change},
     {"train resume", "ID...", "Resume trainings that are paused or have failed.", run_job_change},
     {"train cancel", "ID...", "Cancel trainings.", run_job_change,
-     "Checkpoints stay: train export fetches their controllers."},
+     "Checkpoints are kept; train export fetches their controllers."},
     {"train export", "ID", "Fetch a training's controller, final or so far, and its curves.",
      run_train_export, NULL, train_export_options},
     {"train each", "ID", "Show the designs that a training finetuned individually.", run_train_each,
@@ -538,7 +538,8 @@ const struct command commands[] = {
     {"campaign pause", "ID...", "Pause campaigns.", run_job_change},
     {"campaign resume", "ID...", "Resume campaigns that are paused or have failed.",
      run_job_change},
-    {"campaign cancel", "ID...", "Cancel campaigns.", run_job_change, "Complete generations stay."},
+    {"campaign cancel", "ID...", "Cancel campaigns.", run_job_change,
+     "Complete generations are kept."},
     {"campaign extend", "ID N", "Extend a campaign by N generations.", run_campaign_extend,
      "This also works after it has ended: the result is the same as if the campaign had been that "
      "long from the start."},
@@ -557,7 +558,7 @@ const struct command commands[] = {
      run_campaign_export, NULL, campaign_export_options},
     {"campaign prune", "ID...", "Delete checkpoints of campaigns that have ended.", run_job_prune,
      "Frees 12.4 MB for each campaign that learned. Populations, phylogeny and the resulting "
-     "controller stay. A simultaneous campaign can then no longer be extended or resumed, and "
+     "controller are kept. A simultaneous campaign can then no longer be extended or resumed, and "
      "without a result its champions can no longer be recorded. Nothing is deleted for a campaign "
      "that has not ended."},
     ATLAS_COMMANDS,

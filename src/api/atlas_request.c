@@ -54,9 +54,10 @@ static int check(struct mo_json *json, void *any)
   else
     mo_parts_check_factors(json, &parsed->parts, &parsed->request.physics, NULL);
   if (parsed->request.voxels == 0 && json->faults->n == 0)
-    mo_json_fault_at(json, 0, "",
-                     "voxels is missing; it must be largest number of voxels of a body, 1 to %d",
-                     MO_ATLAS_VOXELS_MAX);
+    mo_json_fault_at(
+        json, 0, "",
+        "voxels is missing; it must be the largest number of voxels of a body, 1 to %d",
+        MO_ATLAS_VOXELS_MAX);
   if (parsed->task >= 0 && parsed->parts.has_environments)
     mo_json_fault_at(json, 0, "/task",
                      "cannot be combined with environments; give only one of "

@@ -362,7 +362,7 @@ static void write_children(struct bodies *bodies, const struct brood *brood)
       if (is_empty(place))
         add(bodies, &place->genotype, &i, 1, place->note);
       else if (mo_genotype_count(child.workspace, child.words) == 0)
-        add_none(bodies, &i, 1, "/children", "no further body was found");
+        add_none(bodies, &i, 1, "/children", "no more bodies were found");
       else
         add(bodies, &child, &i, 1, place->note);
     }

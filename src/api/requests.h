@@ -58,7 +58,7 @@ int mo_robot_read(const char *text, size_t size, struct mo_genotype *genotype, i
 void *mo_next_item(void **items, size_t n, size_t size); /* of a growing array; NULL: no memory */
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */
 const char *mo_parts_set(const struct mo_parts *parts);        /* NULL: a list is given */
-/* Faults: invalid products, or what `vary` (nullable) cannot vary; tasks without gradients. */
+/* Report invalid products of factors, also with `vary` (nullable); tasks without gradients. */
 void mo_parts_check_factors(struct mo_json *json, struct mo_parts *parts,
                             const struct mo_physics *physics, const struct mo_factor_ranges *vary);
 void mo_parts_check_gradients(struct mo_json *json, const struct mo_parts *parts, const char *hint);

@@ -84,7 +84,7 @@ static void check_each(struct mo_json *json, struct mo_parsed_training *parsed)
                      "its last step");
   if (record->settings.held_out_designs != NOT_GIVEN && record->settings.held_out_designs != 1)
     mo_json_fault_at(json, 0, "/validation/designs",
-                     "must be left out, because each design is scored alone");
+                     "must be left out, because each design is scored individually");
   if (keeps && strlen(record->name) > EACH_NAME_MAX)
     mo_json_fault_at(json, 0, "/name",
                      "must have at most %d characters, because the position of a design is added "
@@ -140,7 +140,7 @@ static int check(struct mo_json *json, void *any)
                      "only one of them");
   if (parts->has_environments && settings->held_out_environments > 0)
     mo_json_fault_at(json, 0, "/validation/environments",
-                     "must be left out, because a training with environments of its own is "
+                     "must be left out, because a training with its own environments is "
                      "validated in all of them");
   settings->learning.vary.given = mo_factors_vary(&settings->learning.vary);
   mo_parts_check_factors(json, &parsed->parts, &settings->physics, &settings->learning.vary);

@@ -146,7 +146,7 @@ static void stop(struct process *process, int number, const sigset_t *set)
       break;
     int again = wait_signal(set, left < 50000 ? left : 50000);
     if (again == SIGTERM || again == SIGINT) {
-      log_info("stopping at once", LOG_TEXT("signal", sigabbrev_np(again)));
+      log_info("stopping immediately", LOG_TEXT("signal", sigabbrev_np(again)));
       break;
     }
   }

@@ -425,7 +425,7 @@ static int open_store(struct service *service, const struct settings *settings,
     return error;
   service->crash_marker = true;
   if (service->last_marker != NULL)
-    log_warning("the last process crashed while it computed a job",
+    log_warning("the previous process crashed while it computed a job",
                 LOG_TEXT("marker", service->last_marker));
   const struct mo_orphans *orphans = mo_store_orphans(service->store);
   if (orphans->n > 0)

@@ -126,25 +126,26 @@ const struct setting settings_table[] = {
               "Files of the bodies that campaigns exclude, because their controller was pretrained "
               "on them; 222 MiB for the default controller. They are drawn once; beyond the limit, "
               "the least recently used file is removed. 0: each campaign draws them."),
-    VALUE_ROW("keep_evaluations", SETTING_DURATION, keep_evaluations_ms, 0, 36500 * DAY, "0",
-              "permanently",
-              "How long an evaluation and its recordings are kept after its end; it stays if it "
-              "has a note, is archived, or a training run uses its designs. Scores stay."),
+    VALUE_ROW(
+        "keep_evaluations", SETTING_DURATION, keep_evaluations_ms, 0, 36500 * DAY, "0",
+        "permanently",
+        "How long an evaluation and its recordings are kept after its end; it is not deleted if "
+        "it has a note, is archived, or a training run uses its designs. Scores are kept."),
     VALUE_ROW(
         "keep_trainings", SETTING_DURATION, keep_trainings_ms, 0, 36500 * DAY, "0", "permanently",
-        "How long a training run, its curve and checkpoints are kept after its end; it stays if it "
-        "has a note, is archived, or another job started from its controller. The controller "
-        "stays."),
+        "How long a training run, its curve and checkpoints are kept after its end; it is not "
+        "deleted if it has a note, is archived, or another job started from its controller. The "
+        "controller is kept."),
     VALUE_ROW(
         "keep_campaigns", SETTING_DURATION, keep_campaigns_ms, 0, 36500 * DAY, "0", "permanently",
         "How long a campaign or study, its phylogeny and checkpoints are kept after its end or "
-        "import; it stays if it has a note, is archived, or another job started from its "
+        "import; it is not deleted if it has a note, is archived, or another job started from its "
         "population or controller, or shares its environments. Designs, scores and the controller "
-        "stay."),
-    VALUE_ROW("keep_recordings", SETTING_DURATION, keep_recordings_ms, 0, 36500 * DAY, "0",
-              "permanently",
-              "How long the recordings of an evaluation are kept after its end; they stay if it "
-              "has a note or is archived."),
+        "are kept."),
+    VALUE_ROW(
+        "keep_recordings", SETTING_DURATION, keep_recordings_ms, 0, 36500 * DAY, "0", "permanently",
+        "How long the recordings of an evaluation are kept after its end; they are not deleted if "
+        "it has a note or is archived."),
     VALUE_ROW("max_memory", SETTING_BYTES, max_memory, 0, MIB *GIB, "0",
               "seven eighths of the machine's memory, or of the limit of the cgroup or process if "
               "that is less, at least 64M",

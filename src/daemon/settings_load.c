@@ -408,9 +408,9 @@ void settings_print_help(FILE *file)
     fprintf(file, "  %s\n", action_flags[i].name);
     mo_words_wrap(file, 6, action_flags[i].help);
   }
-  fputs("\nSettings: a flag overrides an environment variable, which overrides the file, which "
-        "overrides the default. In the file\n"
-        "--state-dir is state_dir, in the environment MORPHOD_STATE_DIR, and so on.\n\n",
+  fputs("\nSettings: a flag overrides an environment variable, which overrides the file, which\n"
+        "overrides the default. In the file, --state-dir is state_dir; in the environment, it is\n"
+        "MORPHOD_STATE_DIR, and so on.\n\n",
         file);
   settings_print_rows(settings_table, settings_count, file);
 }

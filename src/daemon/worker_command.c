@@ -60,7 +60,7 @@ static const struct setting rows[] = {
         .initial_words = "none",
         .help = "Hash of the daemon's public key. Without --ca, no other proof is required, so a "
                 "self-signed certificate suffices."),
-    ROW("ca", SETTING_PATH, ca, .initial = "", .initial_words = "those of the system",
+    ROW("ca", SETTING_PATH, ca, .initial = "", .initial_words = "the system's",
         .help = "File with the certificates of the authorities to trust."),
     ROW("proxy", SETTING_PATH, proxy, .choices = "URL", .initial = "",
         .initial_words = "https_proxy, except on loopback",

@@ -86,7 +86,7 @@ void mo_tokens_free(struct mo_tokens *tokens);
  * but never quotes the token. */
 int mo_token_check(const struct mo_token *token, struct mo_message *message);
 /* Replaces the tokens. MO_ERR_INVALID; MO_ERR_LIMIT: too many; MO_ERR_NO_MEMORY. On an error, the
- * old tokens remain in use. */
+ * old tokens stay. */
 int mo_tokens_set(struct mo_tokens *tokens, const struct mo_token *items, size_t n,
                   struct mo_message *message);
 /* Checks "Bearer <token>". Returns 1 and fills in *caller if the token matches, 0 if it does not,

@@ -134,8 +134,7 @@ bool mo_http_is_ready(const struct mo_http *http);
 void *mo_http_context(const struct mo_request *request); /* of the request's service */
 
 /* Replaces the tokens. Open requests continue, but event streams with a removed token are closed.
- * MO_ERR_INVALID (missing but required, or malformed), MO_ERR_NO_MEMORY: the old tokens remain in
- * use. */
+ * MO_ERR_INVALID (missing but required, or malformed), MO_ERR_NO_MEMORY: the old tokens stay. */
 int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size_t n,
                        struct mo_message *message);
 

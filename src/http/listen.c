@@ -119,7 +119,7 @@ static int listen_unix(const char *path, struct mo_message *message)
     if (probe >= 0)
       close(probe);
     if (alive)
-      return mo_fail(message, MO_ERR_CONFLICT, "another process serves %s", path);
+      return mo_fail(message, MO_ERR_CONFLICT, "another process already listens on %s", path);
     if (unlink(path) != 0)
       return mo_fail(message, MO_ERR_IO, "cannot replace %s: %s", path, strerror(errno));
   }

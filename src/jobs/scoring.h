@@ -107,7 +107,7 @@ struct mo_scoring {
   bool measures; /* all rollouts are measured: block.measuring->values of each flight */
   void (*show)(void *context, double rollouts_per_s); /* nullable; 0: unknown */
 };
-/* When it returns, no block is in flight, even after an error, whose text the runner then has.
+/* Leaves no block in flight, even after an error; the runner then has the error's text.
  * MO_ERR_CANCELLED: a request arrived. */
 int mo_score(struct mo_scoring *scoring);
 

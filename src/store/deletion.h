@@ -12,8 +12,8 @@ struct mo_deleted {
 };
 /* Deletes a job that has ended. It disappears for readers at once; its rows are deleted later, in
  * steps of bounded size that continue after a restart. May use the reserve. Designs, scores and
- * controllers stay. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job has not ended (`message` is empty),
- * or another job needs it (`message` says which). */
+ * controllers are kept. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job has not ended (`message` is
+ * empty), or another job needs it (`message` says which). */
 int mo_store_delete_job(struct mo_store *store, int64_t id, struct mo_deleted *deleted,
                         struct mo_message *message);
 

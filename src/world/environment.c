@@ -8,7 +8,7 @@
 static const struct mo_field place_rows[] = {
     [MO_PLACE_LIGHT] = {"light_xy_m", MO_FIELD_NUMBERS, 0, AT(light_xy_m), .n = 2,
                         .min = -MO_LIGHT_LIMIT_M, .max = MO_LIGHT_LIMIT_M, .unit = "m",
-                        .help = "where the light stands"},
+                        .help = "position of the light"},
     [MO_PLACE_HEIGHTS] = {"terrain_heights_m", MO_FIELD_NUMBERS, 0, AT(terrain_heights_m),
                           .n = MO_TERRAIN_HEIGHTS, .side = MO_TERRAIN_SIDE,
                           .min = -MO_HEIGHT_LIMIT_M, .max = MO_HEIGHT_LIMIT_M, .unit = "m",

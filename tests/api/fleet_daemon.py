@@ -1,5 +1,5 @@
-"""A fake daemon for tests of `morphod worker`: it issues leases and keeps the results. It has a
-separate implementation of the messages that src/fleet/wire.h describes."""
+"""A fake daemon for tests of `morphod worker`: it issues leases and keeps the results. It
+implements the messages that src/fleet/wire.h describes independently."""
 
 import base64
 import hashlib

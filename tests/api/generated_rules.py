@@ -36,7 +36,7 @@ RULES = [
     r"at most n_steps",
     r"must be a whole multiple of",
     r"drag_per_s times dt_s must be at most 1",
-    r"more than about a second of a core",
+    r"more than about one core-second",
     r"rollouts are computed at once",
     r"only one of campaigns, group, label and experiment",
     r"the file (is damaged|ends early)",

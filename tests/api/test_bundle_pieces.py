@@ -75,7 +75,7 @@ def test_other_writes_wait_for_a_piece_only(start, bundle):
         staged = max(staged, hidden(other))
         seen.append(len(other.get("/v1/campaigns", connection=connection)["items"]))
     assert begun.reply.status == 201
-    # In one transaction the longest write takes about half of the time of the whole import.
+    # In one transaction, the longest write takes about half the time of the whole import.
     print(f"import {begun.seconds:.2f} s, longest write {longest:.2f} s, {len(seen)} writes")
     assert longest < begun.seconds / 4, (longest, begun.seconds)
     assert staged >= CAMPAIGNS and set(seen) <= {0, CAMPAIGNS}, (staged, seen)

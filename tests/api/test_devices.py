@@ -558,7 +558,7 @@ def test_stored_scores_say_who_computed_them(start):
 
 @pytest.mark.parametrize(
     "flags, environment, words",
-    [(FLAGS, {"abi": 99}, "another version of this program"),
+    [(FLAGS, {"abi": 99}, "a different version of this program"),
      ((f"--compute-module={MODULE}", "--devices=0,3"), {"devices": 2}, "device 3 does not exist"),
      ((f"--compute-module={MODULE}", "--devices=1"), {"devices": 2, "shut": 1
                                                       }, "device 1 cannot be used"),

@@ -162,15 +162,15 @@ def test_physics_of_the_paper(ctl):
     assert [value["physics"][name] for name in ("integrator", "dt_s", "n_steps")] == [
         "paper", 0.004, 1000]
     for given, said in (("-p paper -p n_steps=20", "stands for all settings"),
-                        ("-p Paper", "is neither paper nor KEY=VALUE")):
+                        ("-p Paper", "must be paper or KEY=VALUE")):
         status, out, err = ctl(f"eval {given}", input_text=CELLS)
         assert (status, out) == (2, "") and said in err, err
 
 
 @pytest.mark.parametrize("text, said", [
-    ("[[0,3,3],[1,1,0],[4,0,0]]", 'cells [x, y, z] or rows of EvoGym: write {"cells": [...]}'),
-    ("[[3,3,3],[3,3,3]]", "rows of EvoGym"),
-    (json.dumps([[4, 4, 4]] * 200), "rows of EvoGym"),
+    ("[[0,3,3],[1,1,0],[4,0,0]]", 'cells [x, y, z] or EvoGym rows: write {"cells": [...]}'),
+    ("[[3,3,3],[3,3,3]]", "EvoGym rows"),
+    (json.dumps([[4, 4, 4]] * 200), "EvoGym rows"),
     ("[[3,3,0,3],[1,1,0,1]]", "morphod.read_bodies of the Python package"),
     ("[[[3,3],[4,0]],[[0,0],[1,2]]]", "morphod.read_bodies of the Python package"),
     ('{"grid_width": 9, "grid_height": 9, "objects": {}}', "an EvoGym world is not a design"),
@@ -450,7 +450,7 @@ def test_scores(start, ctl, tmp_path):
         assert status in (2, 6) and words in err, (words, err)
     path.write_bytes(lies(blocks(data)[0]))
     status, out, _ = ctl("scores import", path, **there)
-    assert status == 3 and "1 are stored with other bits" in out and " 0.5 " in out
+    assert status == 3 and "1 are stored with different bits" in out and " 0.5 " in out
     assert ctl("scores export", path, "--since", "2120-01-01T00:00:00Z")[0] == 0
     assert "0 rollouts are new, 0 were known" in ctl("scores import", path, **there)[1]
     assert ctl("scores export", path, "--controller", "nobody")[0] == 3

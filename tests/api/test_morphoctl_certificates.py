@@ -162,13 +162,13 @@ def test_usage(ctl, certified):
         ("certify --campaign 1 --evaluation 2", "give --campaign or --evaluation, not both"),
         (f"certify {path} --best 3", "--best needs --campaign or --evaluation"),
         ("certify --campaign 1 --best 257", "--best"),
-        ("certify --campaign x", "not the id of a job"),
+        ("certify --campaign x", "not a job id"),
         (f"certify {path} --csv", "--csv needs the report: give --wait"),
         (f"certify {path} --csv --json --wait", "give --json or --csv, not both"),
         (f"certificate {job} --csv --json", "give --json or --csv, not both"),
         (f"certify {path} --levels 0.5,", '--levels: "0.5," is not a list of numbers'),
         (f"certify {path} --ranges friction=1", "is not FACTOR=LOW:HIGH"),
-        ("certificate x", "not the id of a job"),
+        ("certificate x", "not a job id"),
     ):
         status, out, err = ctl(command)
         assert status == 2 and out == "" and why in err, (command, status, out, err)

@@ -179,7 +179,7 @@ REFUSED = [
      "must be at least 0.1"),
     ({"task": {"guide": AHEAD, "speed": 1}}, "/task/speed", "unknown field"),
     ({"task": "photo", "light_xy_m": [2.5, 2.5]}, "/light_xy_m", "at least 0.1 m from"),
-    ({"task": "walk", **PLACE}, "", "light_xy_m is only for a light that does not move"),
+    ({"task": "walk", **PLACE}, "", "light_xy_m is only for a fixed light"),
     ({"task": "photo"}, "", "light_xy_m is missing"),
     ({"task": "walk", "terrain_sigma_m": 0.1}, "", "leave all of them out for flat ground"),
     ({"task": "walk", "seed": 1}, "", "leave all of them out for flat ground"),

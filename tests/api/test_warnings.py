@@ -225,7 +225,7 @@ def test_a_campaign_without_new_bodies(service):
     assert done["end"] == "exhausted" and codes(done) == ["exhausted"]
     number = done["progress"]["generation"]
     assert done["warnings"][0]["detail"] == (
-        f"it ended at generation {number} of 5 because no unseen body is left")
+        f"it ended at generation {number} of 5 because no unseen bodies are left")
     assert warnings_of_events(service, done) == [("succeeded", "exhausted")]
 
 
@@ -254,7 +254,7 @@ def test_morphoctl_prints_warnings_about_a_request(ctl):
                             None)):
         status, output, errors = ctl(command, given) if given else ctl(command)
         assert status == 0 and output.strip().isdigit(), (output, errors)
-        assert f" {output.strip()}: dt_s 0.006 is beyond the linear stability" in errors, errors
+        assert f" {output.strip()}: dt_s 0.006 exceeds the linear stability" in errors, errors
 
 
 def test_morphoctl_watches_a_campaign_without_new_bodies(ctl):
@@ -262,4 +262,4 @@ def test_morphoctl_watches_a_campaign_without_new_bodies(ctl):
         "campaign start zero-shot --population 6 --generations 5 --workspace 2,1,1 "
         "--physics n_steps=20 --no-exclusions --watch")
     assert status == 0, errors
-    assert "warning: campaign" in errors and "no unseen body is left" in errors, (output, errors)
+    assert "warning: campaign" in errors and "no unseen bodies are left" in errors, (output, errors)

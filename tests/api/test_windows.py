@@ -144,11 +144,11 @@ def test_states_that_do_not_fit_are_refused(service):
     go_on = value | {"states": [state]}
     assert service.post("/v1/rollouts", go_on)
     others = [
-        (go_on | {"designs": [OTHER]}, "another robot"),
+        (go_on | {"designs": [OTHER]}, "a different robot"),
         (go_on | {"precision": "float64"}, "request that precision"),
         (go_on | {"physics": {"n_steps": 8, "gravity_m_per_s2": 9}}, "only n_steps"),
         (go_on | {"physics": {"n_steps": 8, "dt_s": 0.003}}, "whole number of steps"),
-        (go_on | {"environments": [WORLD | {"seed": 8}]}, "start without a state in a new world"),
+        (go_on | {"environments": [WORLD | {"seed": 8}]}, "start a new world without a state"),
         (go_on | {"environments": [WORLD, WORLD]}, "one for each rollout"),
         (value | {"states": []}, "1 to 64"),
         (value | {"states": [state] * 65}, "1 to 64"),

@@ -23,7 +23,7 @@ BROKEN = {
     "stage?evaluation={evaluation}&rows=5": "the evaluation has no design 5",
     "designs?order=tallest": "one of best, worst", "designs?controller=nobody": "no controller",
     "overview?state=bored": "one of queued", "overview?archived=maybe": "one of true, all",
-    "campaigns/{campaign}?compare=x": "the number of a job",
+    "campaigns/{campaign}?compare=x": "expected a job number",
     "trainings/{training}?compare=1,2,3,4": "compare names 4 jobs",
     "trainings/{training}?compare={training}": "this job is on the page already",
     "campaigns/{campaign}?compare=1,1": "compare=1: this job is on the page already",

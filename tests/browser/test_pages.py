@@ -165,9 +165,9 @@ def test_what_the_lab_reads(browser):
     assert sorted(read[3]) == [[2, 2, 0], [2, 3, 0], [3, 2, 0]]
     assert read[4] == [[0, 0, 0], [5, 5, 3]] and read[5] == [[0, 0, 0], [0, 1, 0]]
     assert read[6] == [[0, 0, 0], [1, 0, 0]]
-    assert "outside of the workspace of 6 × 6 × 4" in read[7] and "not an id" in read[8]
+    assert "outside the workspace of 6 × 6 × 4" in read[7] and "not an id" in read[8]
     assert "outside" in read[9]
-    assert "for rows of EvoGym write array" in read[10] and "0.3 is neither" in read[11]
+    assert "for EvoGym rows, write array" in read[10] and "0.3 is not a coordinate" in read[11]
 
 
 def test_what_the_lab_does(service, browser):

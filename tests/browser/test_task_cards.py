@@ -361,12 +361,12 @@ def test_a_path_on_the_stage(service, browser):
     browser.until(f"{world}.points")
     assert browser.run(f"return {world}.points") == [point]
     assert browser.run(seen)[0] == before[0]
-    assert "with a path of your own" in browser.texts(".world")[0]
+    assert "with a custom path" in browser.texts(".world")[0]
     browser.click("Remove the path", ".draw button")
     browser.until("!location.hash.includes('path=')")
     browser.until(f"!{world}.points")
     assert browser.run(seen) == before
-    assert "path of your own" not in browser.texts(".world")[0]
+    assert "custom path" not in browser.texts(".world")[0]
     assert browser.faults() == []
 
 

@@ -11,8 +11,9 @@ N_LEARNING = 2  # the number of them of campaigns that learn, which take much lo
 
 
 def values(mode, soak):
-    """Small campaigns, with environments in which robots differ much after few steps. With --soak
-    also the presets "demo", and "workstation" with shorter rollouts and fewer steps of learning."""
+    """Small campaigns, with environments in which robots differ a lot after a few steps. With
+    --soak, also the presets "demo" and "workstation", with shorter rollouts and fewer learning
+    steps."""
     for seed in SEEDS if soak or mode == "zero-shot" else SEEDS[:N_LEARNING]:
         value = {"mode": mode, "seed": seed, "exclude_pretraining": False}
         few = {} if mode == "zero-shot" else {"controller": "default"}

@@ -77,18 +77,19 @@ def test_a_campaign_outlives_upgrades(daemon, worker, seed):
     one.until(lambda: one.json("/v1/fleet")["leases_done"] > begun + 3)
     # Without the new package, draining them is useless, as the first one shows.
     done = drain(one, "--older")
-    assert done.returncode == 3 and f"is back with version {old}: install {new}" in done.stderr
+    assert done.returncode == 3
+    assert f"is back with the old version {old}: install {new}" in done.stderr
     assert sorted(map(len, (node.statuses for node in nodes))) == [0, 1]
     for node in nodes:
         node.installed = MORPHOD
     done = drain(one, "--version", old)
-    reported = f"has left, and is back with version {new}\n"
+    reported = f"has left and is back with version {new}\n"
     assert done.returncode == 0 and done.stdout.count(reported) == 2, done
     await_sessions((new, False), (new, False))
     print(f"upgraded in generation {generation(one, job)}")
     assert sorted(node.statuses for node in nodes) == [[UNWANTED], [UNWANTED, UNWANTED]]
     assert f"version {new}" in nodes[0].worker.log.read_text()
-    assert drain(one, "--older").stdout == "no worker is of an older version\n"
+    assert drain(one, "--older").stdout == "no worker has an older version\n"
     one.succeed(job, "campaigns", timeout_s=600)
     result = history(one, job)
     for part, what in expected.items():

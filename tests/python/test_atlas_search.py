@@ -89,7 +89,7 @@ def test_many_are_as_one_by_one(atlas):
 def test_budget(atlas):
     problem = Problem(atlas, budget=3)
     problem.evaluate_all([atlas.genotype(1)] * 2)
-    with pytest.raises(BudgetError, match="budget of 3 evaluations is spent: 2 are counted"):
+    with pytest.raises(BudgetError, match="budget of 3 evaluations is exhausted: 2 were used"):
         problem.evaluate_all([atlas.genotype(1)] * 2)
     problem.evaluate(atlas.genotype(1))
     with pytest.raises(BudgetError):

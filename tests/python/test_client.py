@@ -222,11 +222,11 @@ def test_what_a_result_does_not_show_is_a_warning(m):
     assert repr(evaluation).endswith(": succeeded, all_diverged, unstable_step>")
     with pytest.warns(UserWarning, match="linear stability bound"):
         assert "linear stability bound" in m.rollouts([[[0, 0, 0]]], physics=stiff).warnings[0]
-    with pytest.warns(UserWarning, match="no unseen body is left"):
+    with pytest.warns(UserWarning, match="no unseen bodies are left"):
         campaign = m.campaign("zero-shot", population=4, generations=5, workspace=[2, 1, 1],
                               physics={"n_steps": 20}, exclude_pretraining=False)
         campaign.wait()
-    with pytest.warns(UserWarning, match="no unseen body is left"):
+    with pytest.warns(UserWarning, match="no unseen bodies are left"):
         campaign.live()
     with pytest.raises(morphod.JobError, match="first 2 steps diverged"):
         m.finetune([[[0, 0, 0]]], steps=2, batch=2, physics=stiff,
@@ -380,7 +380,7 @@ def test_objectives(m):
                       **settings)
     assert isinstance(one(np.array([3.0])), float)
     assert one(np.array([[1.0], [2], [4]])).shape == (3, )
-    with pytest.raises(ValueError, match="neither a function nor one of"):
+    with pytest.raises(ValueError, match="must be a function or one of"):
         m.objective(["weight"])
 
 

@@ -1,4 +1,4 @@
-"""Comparisons in Python have the numbers and refusals of morphoctl."""
+"""Comparisons in Python return the same numbers and refusals as morphoctl."""
 
 import json
 import math

@@ -75,7 +75,7 @@ def test_robots_are_bodies(draw):
     other = read_world(draw("......hh....HH..", "################"))
     assert [one.name for one in other.bodies] == ["robot", "other"]
     assert "half a cell of the start: the middle of cell 6 is at x = 2.5 m" in other.lost
-    assert any(said.startswith("the place of robot other") for said in other.lost)
+    assert any(said.startswith("the position of robot other") for said in other.lost)
     tall = read_world(draw(*["..h....."] * 5, "########"))
     assert tall.bodies == [] and any("5 voxels high" in said for said in tall.lost)
 
@@ -144,9 +144,9 @@ def test_long_worlds(draw):
 
 
 def test_what_is_no_world(draw, tmp_path):
-    with pytest.raises(MorphodError, match="has no ground: .*read_bodies reads its robots"):
+    with pytest.raises(MorphodError, match="has no ground: .*use read_bodies to read its robots"):
         read_world(draw("hv"))
-    with pytest.raises(MorphodError, match="is at cell 3.5, but the ground reaches from 0 to 2"):
+    with pytest.raises(MorphodError, match="is at cell 3.5, but the ground extends from 0 to 2"):
         read_world(draw("##."))
     assert read_world(draw("##."), start_cell=1)["heights_m"]
     with pytest.raises(BodyError, match="grid_height is 1, but its objects have 2 rows"):

@@ -84,7 +84,7 @@ def test_evogym_leaves_out_the_ground(tmp_path):
     assert robot.lost == ("materials 3, 4 were merged into one",
                           "left out of the file: ground (fixed)")
     file.write_text(world(ground=GROUND))
-    with pytest.raises(BodyError, match="only fixed objects in this file: ground"):
+    with pytest.raises(BodyError, match="this file has only fixed objects: ground"):
         read_bodies(file)
 
 
@@ -203,7 +203,7 @@ def test_populations(tmp_path):
     ("a.vxa", vxd("ASCII_READABLE", ["1"] * 5, (1, 1, 5)), "axis 2 (z)"),
     ("a.vxd", vxd("ASCII_READABLE", ["11"], (1, 1, 1)), "a layer has 2 voxels"),
     ("a.vxd", vxd("ASCII_READABLE", ["1"], (1, 1, 2)), "1 layers for Z_Voxels = 2"),
-    ("a.vxd", vxd("ASCII_READABLE", ["1"], (1, 10**9, 1)), "are not 1 to 1000"),
+    ("a.vxd", vxd("ASCII_READABLE", ["1"], (1, 10**9, 1)), "must be 1 to 1000"),
     ("a.vxd", vxd("ZLIB", [based(zlib.compress(bytes(10**7)))], (1, 1, 1)), "2 voxels"),
     ("a.vxd", vxd("ZLIB", ["AAAA"], (1, 1, 1)), "not ZLIB"),
     ("a.vxd", vxd("BASE64", ["?"], (1, 1, 1)), "not BASE64"),
@@ -218,8 +218,8 @@ def test_populations(tmp_path):
     ("a.json", "{", "is not JSON"),
     ("a.json", world(a=([0, 0.5], [1, 1])), "indices are not whole numbers"),
     ("a.json", world(a=([0, 0], [1, 1])), "given twice"),
-    ("a.json", world(a=([0], [7])), "is 7: the materials of EvoGym are 0"),
-    ("a.vxd", vxd("ASCII_READABLE", ["a"], (1, 1, 1)), "other characters than digits"),
+    ("a.json", world(a=([0], [7])), "is 7: EvoGym materials are 0"),
+    ("a.vxd", vxd("ASCII_READABLE", ["a"], (1, 1, 1)), "characters other than digits"),
     ("a.txt", "", "not a file of bodies"),
 ])
 def test_errors_name_what_is_wrong(tmp_path, name, content, said):

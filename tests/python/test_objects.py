@@ -355,7 +355,7 @@ def test_decoded_arrays_have_the_same_threshold():
         shown = Body.of(np.reshape(decoded, SIDES) > 0.5, "largest")
         assert Plan(None, lambda key: decoded, 10.0, False).read(["a", "b"]) == ([shown] * 2, False)
     assert Plan(None, lambda key: density * 0.5, 10.0, False).read([3.0]) == ([None], True)
-    with pytest.raises(BodyError, match="solution 0 is not a body: an array of the shape .6, 4."):
+    with pytest.raises(BodyError, match="solution 0 is not a body: an array has shape .6, 4."):
         Plan(None, lambda key: density[0], 10.0, False).read(["a"])
 
 

@@ -193,7 +193,7 @@ def test_results_of_other_bodies_are_refused(answered):
         if is_right:
             assert client.evaluate([bar]).scores[0] == 1
         else:
-            with pytest.raises(morphod.MorphodError, match="for another body than the requested"):
+            with pytest.raises(morphod.MorphodError, match="is not for the requested body"):
                 client.evaluate([bar])
     with pytest.raises(morphod.MorphodError, match="has 1 results, not the 2"):
         client.evaluate([bar, bar])

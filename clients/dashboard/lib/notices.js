@@ -59,8 +59,8 @@ export function followNotices(app) {
       if (!isOver(job) || !want(id, false)) return;
       const text = `${titleOf(job)}: ${stateOf(job)}`;
       if (notify(text, job, linkOf(job))) return;
-      // Keep the title until the user is back, and show the message only then, because it
-      // disappears by itself.
+      // Keep the title until the user returns, and show the message only then, because it
+      // disappears on its own.
       const isHidden = document.hidden;
       notice = notice ? `${notice}; ${text}` : text;
       if (!isHidden) announce(notice);

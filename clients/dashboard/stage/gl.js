@@ -142,7 +142,7 @@ export function vertexArray(gl, data, attributes) {
   return { array, buffer, free: () => { gl.deleteVertexArray(array); gl.deleteBuffer(buffer); } };
 }
 
-/** Creates a map of depths as seen from the sun. */
+/** Creates a depth map as seen from the sun. */
 export function shadowTarget(gl, size) {
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);

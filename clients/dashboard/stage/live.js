@@ -19,8 +19,7 @@ export class Live {
     this.stage = stage;
     this.frameS = frameS;
     this.perWindow = perWindow;
-    /** Whether the stage shows something else: then the robots here have nothing on the graphics
-     * processor. */
+    /** Whether the stage shows something else, so that these robots have no data on the GPU. */
     this.isSuspended = false;
     /** Number of the first frame that the robots have. */
     this.first = 0;

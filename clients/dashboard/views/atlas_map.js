@@ -22,7 +22,7 @@ const LOG_TICKS = [1, 1.5, 2, 3, 5, 7];
 const isWide = (lo, hi) => lo > 0 && hi / lo > LOG_FROM;
 
 /** Returns the score below which finer bins are needed, because outliers make equal bins wider than
- * the first one of a logarithmic axis; 0: none are. */
+ * the first one of a logarithmic axis; 0: they are not needed. */
 function cutOf(lo, hi) {
   const first = lo * ((hi / lo) ** (1 / BINS) - 1);
   return isWide(lo, hi) && (hi - lo) / FINE > first ? lo + FINE * first : 0;

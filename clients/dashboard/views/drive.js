@@ -117,7 +117,7 @@ export class Driving {
     this.#show();
   }
 
-  /** Computes n windows of all robots: a request for each controller. */
+  /** Computes n windows of all robots, with one request per controller. */
   async #roll({ light, states, n, signal }) {
     const { environment, physics, precision, controller } = this.world;
     const world = { ...requested(environment), light_xy_m: light };

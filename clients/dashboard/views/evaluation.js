@@ -48,7 +48,7 @@ async function prepare(shared) {
         `${name ?? sha256.slice(0, 12)}, ${placesOf(one.environments)}`);
       record.hidden = !one.record.length;
       say(record, one.recordings_removed_at
-        ? `Its recordings were removed ${ago(one.recordings_removed_at)}; its scores stay.`
+        ? `Its recordings were removed ${ago(one.recordings_removed_at)}; its scores are kept.`
         : `Recorded: ${one.record.join(', ')}, ${bytes(one.recorded_bytes)}.`);
       return '';
     },

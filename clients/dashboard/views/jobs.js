@@ -69,7 +69,7 @@ export class JobParts {
       : this.#act('pause', 'paused')));
     this.cancel = button('Cancel', async () => {
       const sure = await confirmDialog(`Cancel ${titleOf(this.job)}?`,
-        'It cannot be resumed. What it has computed so far stays.', 'Cancel the job');
+        'It cannot be resumed. Its results so far are kept.', 'Cancel the job');
       if (sure) await this.#act('cancel', 'cancelled');
     }, { class: 'danger' });
     this.weight = h('input', {

@@ -94,8 +94,9 @@ class LocalClient(Client):
         shutil.rmtree(self._base, ignore_errors=True)
 
     def close(self) -> None:
-        """Closes the connections and stops the service. A given `state_dir` stays; a temporary one
-        is deleted. In a forked child the service continues, because it belongs to the parent."""
+        """Closes the connections and stops the service. A given `state_dir` is kept; a temporary
+        one is deleted. In a forked child the service continues, because it belongs to the
+        parent."""
         if os.getpid() != self._pid:
             return
         atexit.unregister(self.close)

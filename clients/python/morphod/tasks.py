@@ -36,7 +36,7 @@ class Task(dict[str, Any]):
 
     @classmethod
     def fixed(cls, objective: Goal | None = None) -> Task:
-        """The light stands at `light_xy_m` of the environment. Objectives: reach, approach."""
+        """The light is fixed at `light_xy_m` of the environment. Objectives: reach, approach."""
         return cls._of("fixed", objective)
 
     @classmethod

@@ -45,7 +45,7 @@ class World(dict[str, Any]):
 
     def environment(self, task: Any = "walk", **place: Any) -> dict[str, Any]:
         """Returns an environment with this terrain and a task (docs/tasks.md); with `task=None`,
-        `light_xy_m` says where the light stands."""
+        `light_xy_m` is the position of the light."""
         return {**({} if task is None else {"task": task}), "terrain": dict(self), **place}
 
     def __repr__(self) -> str:

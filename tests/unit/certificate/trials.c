@@ -259,7 +259,7 @@ static void held_out_of_sets(void)
       }
     } else {
       CHECK_INT(trial->n_environments, 64);
-      CHECK_SAYS(note, "64 worlds in place of 256");
+      CHECK_SAYS(note, "64 worlds instead of 256");
       CHECK(mo_environment_set(i + 1, expected) == 64 && are_same(fresh, expected, 64));
     }
   }
@@ -311,13 +311,16 @@ static void held_out_of_lists(void)
   own[2] = kept;
   for (int i = 0; i < MO_TERRAIN_HEIGHTS; i++)
     own[2].terrain_heights_m[i] = MO_TERRAIN_FLOOR_M; /* level */
-  CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT), "not those that training");
+  CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT),
+            "not of the kind that training");
   mo_terrain_random(1, 0, 0, 0.3, own[2].terrain_heights_m);
-  CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT), "not those that training");
+  CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT),
+            "not of the kind that training");
   own[2] = kept;
   for (int i = 0; i < MO_TERRAIN_HEIGHTS; i++)
     own[2].terrain_heights_m[i] += 0.01;
-  CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT), "not those that training");
+  CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT),
+            "not of the kind that training");
   own[2] = kept;
   own[2].light_xy_m[0] = 6;
   CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT), "lights");

@@ -149,7 +149,7 @@ static void says_what_cannot_be_loaded(void)
   expect_refusal(other, NULL, 0, MO_ERR_UNSUPPORTED, "meson.build");
   set("MORPHO_FAKE_ABI", "99");
   expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_UNSUPPORTED,
-                 "another version of this program (interface 99, not ");
+                 "a different version of this program (interface 99, not ");
   reset();
   set("MORPHO_FAKE_DEVICES", "0");
   expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_EXHAUSTED, "no working device");

@@ -449,7 +449,7 @@ static void refusals(void)
   CHECK_SAYS(message, "only n_steps");
   path.terrain_heights_m[7] += 0.01;
   CHECK_INT(mo_state_check(&s, body, &path, &physics, MO_FLOAT32, &message), MO_ERR_INVALID);
-  CHECK_SAYS(message, "without a state in a new world");
+  CHECK_SAYS(message, "start a new world without a state");
   static const uint32_t times[] = {0, 1800001, UINT32_MAX};
   for (size_t i = 0; i < COUNT(times); i++) {
     s.step = times[i];

@@ -127,7 +127,7 @@ static void warns_of_acting_in_every_step(void)
   REQUIRE(mo_warn_of_physics(&physics, warnings) == 1);
   CHECK_TEXT(warnings[0].code, "every_step");
   CHECK(warnings[0].of_request);
-  CHECK_HAS(warnings[0].detail, "acts in every step of 0.002 s; ");
+  CHECK_HAS(warnings[0].detail, "acts at every step of 0.002 s; ");
   physics.scheme.control_period_s = MO_DEFAULT_CONTROL_PERIOD_S;
   CHECK_INT(mo_warn_of_physics(&physics, warnings), 0);
   physics = mo_paper_physics();
@@ -151,7 +151,7 @@ static void warns_of_unstable_steps(void)
   CHECK(warning->of_request);
   CHECK_TEXT(
       warning->detail,
-      "dt_s 1.23456e-05 is beyond the linear stability bound of 1.83e-07 for "
+      "dt_s 1.23456e-05 exceeds the linear stability bound of 1.83e-07 for "
       "stiffness_n_per_m 1.23456e+08, mass_kg 1.23456e-05, drag_per_s 1234.56 and integrator "
       "split: expect bodies to blow up; use a dt_s of at most 1.4e-07");
   CHECK(strlen(warning->detail) <= 230);

@@ -61,15 +61,15 @@ static void bounds(void)
       {3, &guide->points_m[1][1], 1000.5, MO_ERR_RANGE,
        "each coordinate in points_m must be at least -1000 and at most 1000, got 1000.5"},
       {3, &guide->points_m[2][0], 1, MO_ERR_INVALID,
-       "what a guide of kind path does not use must be 0"}, /* beyond the last point */
+       "members that a guide of kind path does not use must be 0"}, /* beyond the last point */
       {4, &guide->velocity_m_per_s[1], -INFINITY, MO_ERR_INVALID,
        "each component of velocity_m_per_s must be a finite number"},
       {4, &guide->center_m[0], -1001, MO_ERR_RANGE, /* it would be checked before its use */
        "each coordinate of center_m must be at least -1000 and at most 1000, got -1001"},
       {0, &guide->distance_m, 1, MO_ERR_INVALID,
-       "what a guide of kind fixed does not use must be 0"},
+       "members that a guide of kind fixed does not use must be 0"},
       {4, &guide->center_m[0], 1, MO_ERR_INVALID, /* it does not turn */
-       "what a guide of kind moving does not use must be 0"},
+       "members that a guide of kind moving does not use must be 0"},
       {1, &environment.light_xy_m[1], 1, MO_OK, ""}, /* of the environment, below */
   };
   for (size_t i = 0; i < COUNT(bad); i++) {

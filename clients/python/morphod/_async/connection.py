@@ -66,7 +66,7 @@ class AsyncConnection:
         return client
 
     async def close(self) -> None:
-        """Closes the connections of this event loop; the others end with theirs."""
+        """Closes the connections of this event loop; the others end with their loops."""
         if self._pid == os.getpid():
             client = self._clients.pop(anyio.lowlevel.current_token(), None)
             if client is not None:

@@ -159,7 +159,7 @@ class AsyncCampaign(AsyncJob):
                                  wait: bool = True) -> AsyncEvaluation:
         """Scores the champions in a named set of environments or a suite, with the physics of the
         campaign and, unless `controller` is given, the controller that scored them. With
-        `wait=False` it returns at once, when the evaluation is durable."""
+        `wait=False` it returns as soon as the evaluation is durable."""
         request = Request.submit(f"/v1/campaigns/{self.id}/champions", given(
             count=count, environments=environments, controller=controller, label=label),
             wait_s=WAIT_S if wait else 0)

@@ -177,7 +177,7 @@ class AsyncJob:
         await self._act("resume")
 
     async def cancel(self) -> None:
-        """Cancels it permanently. Results that a campaign or training has committed stay."""
+        """Cancels it permanently. Results that a campaign or training has committed are kept."""
         await self._act("cancel")
 
     async def weigh(self, weight: float) -> None:

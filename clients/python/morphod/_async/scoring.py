@@ -58,7 +58,7 @@ class Scoring:
         recorded, and `table()` reads the results in pages. To score random bodies without sending
         them, see `evaluate_random`.
 
-        `wait=False` returns at once, when the evaluation is durable. `record` accepts "com" and
+        `wait=False` returns as soon as the evaluation is durable. `record` accepts "com" and
         "masses", which are recorded every `record_stride` steps. `physics` overrides single
         settings, such as `{"dt_s": 0.001, "n_steps": 4000}`, or is "paper" for those of the paper.
         `repair="largest"` keeps the largest piece of bodies that are not in one piece.

@@ -381,7 +381,7 @@ class Atlas:
         return self._orders[voxels or 0]
 
     def rank(self, where: Where, *, within_size: bool = False) -> Rank:
-        """Ranks a body among all bodies, or among those with as many voxels."""
+        """Ranks a body among all bodies, or among those of its size."""
         position = self.position(where)
         scores = self._sorted(self._place(position)[0] if within_size else None)[1]
         score = np.float32(self.score(position))
