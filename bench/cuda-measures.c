@@ -125,7 +125,7 @@ static void check_lives(struct mo_device_controller *controller, const struct mo
 }
 
 /* The objectives of objective-cases.h, next to rows with other tasks: losses and values, which do
- * not depend on whether the measures are asked for. */
+ * not depend on whether the measures are requested. */
 static void check_objectives(struct mo_device_controller *controller, struct mo_physics physics,
                              const char *name)
 {

@@ -182,7 +182,7 @@ uint64_t mo_atlas_ascend(const struct mo_atlas *atlas, uint64_t position, unsign
 struct mo_atlas_index;
 int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **index);
 /* The same by a measure of the file, the lowest first, or by its negative value, so that the
- * highest is first: all functions of an index then use it in place of the score. Bodies without a
+ * highest is first: all functions of an index then use it instead of the score. Bodies without a
  * value come last, are in no bin of a histogram, and must not be ranked. MO_ERR_NOT_FOUND: the file
  * does not have the measure; MO_ERR_NO_MEMORY. */
 int mo_atlas_index_create_by(const struct mo_atlas *atlas, enum mo_measure measure,

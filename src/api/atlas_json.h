@@ -30,7 +30,7 @@ bool mo_atlas_query_range(struct mo_request *request, float *lo, float *hi);
 bool mo_atlas_query_interval(struct mo_request *request, const char *low, const char *high,
                              float *lo, float *hi); /* the same by other names */
 
-/* Reads `measure`, one that the atlas has: of enum mo_measure; −1 if it is absent. */
+/* Reads `measure`, which the atlas must have, as enum mo_measure; −1 if it is absent. */
 bool mo_atlas_query_measure(struct mo_request *request, const struct mo_atlas_use *use,
                             int *measure);
 /* Sorts all bodies by a measure, or by its negative value. The caller frees the index. */

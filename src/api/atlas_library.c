@@ -23,7 +23,7 @@
 #define KEPT_BYTES     ((size_t)256 << 10) /* longer descriptions are written each time */
 #define ATTEMPTS       3                   /* to open a file that is being replaced */
 
-/* What identifies a file: a different file, or different content, differs in one of these. */
+/* Identifies a file: different files, or different contents, differ in at least one of these. */
 struct identity {
   dev_t device;
   ino_t inode;

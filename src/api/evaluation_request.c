@@ -204,7 +204,7 @@ static void check_error(struct mo_json *json, const struct mo_parsed_evaluation 
         1U << MO_LADDER_RUNGS, message.text);
   else if (error == MO_ERR_RANGE)
     mo_json_fault_at(json, 0, "/error",
-                     "needs rollouts with half of the time step and with higher starts: %s",
+                     "needs rollouts with half the time step and with higher starts: %s",
                      message.text);
 }
 

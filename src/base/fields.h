@@ -68,7 +68,7 @@ struct mo_field {
   const char *help; /* one line without a period */
 };
 
-/* Texts that JSON may have in place of an object. set: sets every row to the values of words[i]. */
+/* Texts that JSON may have instead of an object. set: sets every row to the values of words[i]. */
 struct mo_fields_words {
   const char *const *words; /* NULL after the last */
   void (*set)(void *settings, int i);

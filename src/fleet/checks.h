@@ -26,7 +26,7 @@ void mo_check_decide(struct mo_fleet *fleet, struct mo_lease *lease, double *los
                      struct mo_after *after);
 /* Returns whether a session may compute a waiting audit. It must not have delivered the lease, and
  * its name and host must differ from the delivering session's, unless no other session has been
- * available for some seconds. */
+ * available for several seconds. */
 bool mo_check_suits(const struct mo_lease *lease, const struct mo_session *session,
                     uint64_t now_ns);
 /* Cuts an audit that is not disputed to about max_steps, starting at a random place. */

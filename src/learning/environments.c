@@ -1,4 +1,4 @@
-/* environments.c: the environments given to a training run in place of those that it would draw:
+/* environments.c: the environments given to a training run instead of those that it would draw:
  * kept in its state, and as bytes for its checkpoints and its controller's lineage. */
 #include "learning/internal.h"
 

@@ -53,7 +53,7 @@ void mo_observer_begin(struct mo_observer *observer, const struct mo_body *body,
                        const struct mo_environment *environment, const struct mo_physics *physics,
                        const double com_start_m[3], const double light_xy_m[2]);
 
-/* Sets the pose at the start, in place of the assumed pose of a body at rest. */
+/* Sets the pose at the start, instead of the assumed pose of a body at rest. */
 void mo_observer_pose(struct mo_observer *observer, const struct mo_pose *pose);
 
 /* Continues to an instant after the start. */

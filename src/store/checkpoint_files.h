@@ -3,7 +3,7 @@
  * A file is written before its row and deleted after it. A crash in between leaves a file without a
  * row, which is removed the next time the store is opened. store->checkpoints_mutex is held from
  * the write of a file to the deletion of the files that it replaces, and from the deletion of a row
- * to the deletion of its file. Otherwise a new file of an old step could be deleted in place of the
+ * to the deletion of its file. Otherwise a new file of an old step could be deleted instead of the
  * old one. */
 #ifndef MORPHO_STORE_CHECKPOINT_FILES_H
 #define MORPHO_STORE_CHECKPOINT_FILES_H

@@ -7,7 +7,7 @@
 
 #include "store/own_score.h"
 
-/* The measure that a campaign selects by, in place of the mean loss. The score is then the mean of
+/* The measure that a campaign selects by, instead of the mean loss. The score is then the mean of
  * the measure over the environments, with its sign changed for `max`, because lower is better for
  * every score. A design without this mean has the score +infinity. */
 enum mo_direction { MO_DIRECTION_MAX = 0, MO_DIRECTION_MIN = 1 };

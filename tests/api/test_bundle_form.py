@@ -208,7 +208,7 @@ def test_a_byte_does_not_unpack_to_thousands(start, bundles):
 
 @pytest.fixture(scope="module")
 def long(bundles):
-    """A bundle that occupies a core for some seconds: 600,000 designs, all the same body."""
+    """A bundle that occupies a core for several seconds: 600,000 designs, all the same body."""
     campaign = next((name, body) for name, body in bundles[0] if name.endswith("campaign.json"))
     row = json.loads(campaign[1])
     row["designs"] = 600_000

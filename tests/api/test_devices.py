@@ -315,7 +315,7 @@ def test_want_of_memory(start, undisturbed, tmp_path):
 
 
 def test_kill(start, undisturbed, tmp_path):
-    """The service is killed repeatedly, with another number of devices each time."""
+    """The service is killed repeatedly, with a different number of devices each time."""
     state, jobs = tmp_path / "state", []
     for attempt in range(5):
         service = start(*FLAGS, state=state, environment=fake(devices=1 + attempt % 3, delay_ms=15))

@@ -1,5 +1,5 @@
 """Finetunings of each design alone: their scores are those of trainings and evaluations of the
-design, and the controllers that were asked for are kept."""
+design, and the controllers that were requested are kept."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The physics of requests: the defaults, and "paper" in place of an object."""
+"""The physics of requests: the defaults, and "paper" instead of an object."""
 
 import pytest
 from service import BOOTSTRAP, CONTRACT, DESIGN, run

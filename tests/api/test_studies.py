@@ -337,7 +337,7 @@ def test_pause_and_a_batch_that_waits(service):
 
 class Elites:
     """Seeded MAP-Elites over the number of voxels and the height. Its saved state is complete: it
-    continues with the scores of the bodies that it asked for."""
+    continues with the scores of the bodies that it requested."""
 
     def __init__(self, kept=None):
         self.random = random.Random(3)

@@ -76,7 +76,7 @@ def lease(known, number, epoch=1, designs=(0, 1, 2, 3), n_steps=None, **more):
 
 
 def long_lease(known, number, n_steps=4000, **more):
-    """A lease that takes some seconds of one processor."""
+    """A lease that takes several seconds of one processor."""
     return lease(known, number, designs=(3, ) * 8, n_steps=n_steps, **more)
 
 
@@ -185,8 +185,8 @@ def test_a_daemon_that_starts_again_costs_little(daemon, launch, known):
     daemon.give(lease(known, 0), long_lease(known, 1))
     daemon.until(lambda: daemon.done((1, 0)))
     daemon.close()
-    # While there is no reply, it retries so often that it finds the next daemon quickly. With
-    # pauses of some seconds, the longest ones, this would take a minute.
+    # While there is no reply, it retries often enough to find the next daemon quickly. With the
+    # longest pauses, of several seconds, this would take a minute.
     with socket.create_server(("127.0.0.1", daemon.port)) as deaf, soon():
         deaf.settimeout(SOON_S)
         for _ in range(20):

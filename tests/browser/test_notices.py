@@ -48,7 +48,7 @@ def faked(browser):
 
 
 def test_a_notification_at_the_end(service, browser, endless, faked):
-    """It is asked for by a click, remembered, and comes on any page."""
+    """It is requested by a click, remembered, and comes on any page."""
     faked("default", "granted")
     browser.open(f"campaigns/{endless}")
     browser.until(BUTTON)

@@ -13,7 +13,7 @@ const folder = document.querySelector('script[type=module]').src.replace(/app.js
 import(folder + arguments[0]).then((of) => { %s }).catch((no) => done(String(no)));
 """
 CHIPS = "document.querySelectorAll('#tray li').length"
-# Keeps the files that the page saves, in place of a download.
+# Keeps the files that the page saves, instead of a download.
 SAVES = """
 window.saved = {};
 const blobs = new Map();

@@ -36,9 +36,9 @@ def resume_failed(one, job):
 @pytest.mark.parametrize("more", ({}, {"measures": ["displacement_m", "work_j"]}),
                          ids=("plain", "measured"))
 def test_kill_at_random_moments(daemon, soak, seed, more):
-    """Killed some times, with another number of workers in every process. Nothing that was durable
-    is computed again, so the work of all processes is little more than that of one. Every second
-    process lives until it has added a body, so that the job ends on any machine."""
+    """Killed several times, with a different number of workers in each process. Nothing durable is
+    recomputed, so all processes together do little more work than one would. Every second process
+    lives until it has added a body, so that the job ends on any machine."""
     print(f"seed {seed}")
     generator = random.Random(seed)
     n_kills = 60 if soak else 8

@@ -52,9 +52,9 @@ def resume_failed(one, job):
 
 
 def test_kill_at_random_moments(daemon, soak, seed):
-    """Killed some times, with another number of workers in every process. Nothing that was stored
-    is computed again. Every second process lives until it has stored a loss, so that the job ends
-    on any machine."""
+    """Killed several times, with a different number of workers in each process. Nothing that was
+    stored is recomputed. Every second process lives until it has stored a loss, so that the job
+    ends on any machine."""
     print(f"seed {seed}")
     generator = random.Random(seed)
     n_kills = 60 if soak else 8

@@ -28,9 +28,9 @@ def result(one, job):
 
 @pytest.mark.parametrize("device", WHERE)
 def test_kill_at_random_moments(daemon, soak, seed, device):
-    """Killed again and again, with another number of workers in every process, which lives until
-    it has learned a few steps more, so that most kills are within a design. Resumed when it failed,
-    as it does after three kills without a checkpoint."""
+    """Killed repeatedly, with a different number of workers in each process, which lives until it
+    has learned a few more steps, so that most kills are within a design. Resumed when it failed, as
+    it does after three kills without a checkpoint."""
     print(f"seed {seed}")
     generator = random.Random(seed)
     n_kills = 60 if soak else 10

@@ -66,8 +66,8 @@ def check_files(state):
 
 
 def test_kill_at_random_moments(daemon, soak, seed):
-    """Killed 20 times, with another number of workers in every process, compared with undisturbed
-    runs with 1, 2 and 7 workers."""
+    """Killed 20 times, with a different number of workers in each process, compared with
+    undisturbed runs with 1, 2 and 7 workers."""
     print(f"seed {seed}")
     generator = random.Random(seed)
     n_kills, steps = (200, 1000) if soak else (20, 60)

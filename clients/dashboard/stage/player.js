@@ -313,7 +313,7 @@ export class Player {
   }
 
   /**
-   * Shows what is computed while it plays, in place of recordings; null goes back to these.
+   * Shows what is computed while it plays, instead of recordings; null goes back to these.
    * @param {any} live has steering, tick(), timeS, restart(robots), setPlaying(on), setSpeed(speed)
    *   and close()
    */

@@ -9,7 +9,7 @@ import { percent, shellWord } from '../lib/format.js';
 /** Returns why something failed, with the page's name for a field of the request. */
 const reasonOf = ({ message }) => message.replace(/^\/(\w)/, (_, first) => first.toUpperCase());
 
-/** Performs an action, and announces success or the reason of a failure; returns true on
+/** Performs an action, and announces success or the reason for a failure; returns true on
  * success. */
 export async function announced(work, done = '') {
   try {

@@ -97,7 +97,7 @@ class Rollout:
 
     `masses_m` has the shape (frames, masses, 3), `com_m` (frames, 3), in meters; None if not
     recorded. `value` and `unit` are those of the task; None for `photo`. `state` is the one in
-    which it ends, if the request asked for it; None if it diverged. `more` has every other array,
+    which it ends, if requested; None if it diverged. `more` has every other array,
     by name.
     """
 

@@ -429,7 +429,7 @@ static void omitted_by_worlds(void)
   CHECK(mo_certificate_note(&settings, &base, MO_AXIS_WORLDS, &note));
   CHECK_SAYS(note, "only in the first 3 of the base's 10 worlds");
   settings.axes = 1 << MO_AXIS_BASE;
-  CHECK(mo_certificate_omits(&settings, &base, MO_AXIS_DRAG) == NULL); /* not asked for */
+  CHECK(mo_certificate_omits(&settings, &base, MO_AXIS_DRAG) == NULL); /* not requested */
 }
 
 /* The settings of an imported campaign may ask for worlds that nobody checked. */
@@ -447,7 +447,7 @@ static void held_out_that_do_not_exist(void)
 
 static const struct check_case cases[] = {
     {"all axes and levels, in order", all_axes},
-    {"only the axes that are asked for", chosen_axes},
+    {"only the axes that are requested", chosen_axes},
     {"finer steps keep duration and control times", steps},
     {"a factor axis multiplies one constant", factors},
     {"chance: copies with nearly the same constants", chance},

@@ -113,7 +113,7 @@ static void measures_rows(void)
                                &blocks[d].physics, NULL, &measuring, NULL, outcomes),
               MO_OK);
     if (d % 2 == 1)
-      memset(all, 0x7f, sizeof(all)); /* not asked for: left as they were */
+      memset(all, 0x7f, sizeof(all)); /* not requested: left unchanged */
     CHECK(memcmp(values[d], all, sizeof(all)) == 0);
     on_device += blocks[d].computed_on == MO_ON_DEVICE;
     on_device_plain += blocks[d].computed_on == MO_ON_DEVICE && d % 2 == 1;
@@ -277,8 +277,8 @@ static void scores_do_not_depend_on_memory(void)
     CHECK_INT(blocks[d].status, MO_ERR_NO_MEMORY);
 }
 
-/* Only what the device computed itself is in its rates: what it leaves to the workers takes it
- * almost no time. */
+/* A device's rates include only what it computed itself, because what it leaves to the workers
+ * takes it almost no time. */
 static void workers_do_the_rest(void)
 {
   static const char *const numbers[] = {"1", "2"};
@@ -560,7 +560,7 @@ static const struct check_case cases[] = {
     {"scores do not depend on the number of devices", scores_do_not_depend_on_the_number},
     {"scores do not depend on available memory", scores_do_not_depend_on_memory},
     {"workers compute what devices do not support", workers_do_the_rest},
-    {"rows are measured where that is asked for", measures_rows},
+    {"rows are measured where that is requested", measures_rows},
     {"the others continue when one device is lost", goes_on_without_a_device},
     {"the loss of the last device ends only its work", ends_without_any_device},
     {"ends blocks that takers put back", ends_what_takers_put_back},

@@ -204,7 +204,7 @@ static void *learn(void *argument)
   return NULL;
 }
 
-/* Its blocks are long, and it has none between two batches; it gets half of the time anyway. */
+/* Its blocks are long, and it has none between two batches; it gets half the time anyway. */
 static void gradients_beside_scores(void)
 {
   struct mo_compute *compute = make_compute(2);

@@ -235,7 +235,7 @@ static void late(void)
   struct mo_fleet_orders orders = orders_of(a);
   CHECK(orders.n_dropped == 2 && orders.dropped[1].number == slow.items[1].id.number);
   mo_wire_free_leases(&more);
-  more = exchange(a); /* in place of the first session */
+  more = exchange(a); /* instead of the first session */
   CHECK(more.n == 1 && status().leases == 2 + next.n);
   mo_wire_free_leases(&more);
   slow.items[0] = slow.items[1];

@@ -4,7 +4,7 @@
  * Workers join, compute, leave, are lost, fall silent, hang, fail, give leases back, repeat old
  * results and send wrong ones, while work arrives, stops and is cancelled. At the same time, every
  * block must be delivered or put back exactly once, every lease must have an owner, the counters
- * must agree, and no honest session may be refused. Argument "soak": 10^6 steps in place of 2 ×
+ * must agree, and no honest session may be refused. Argument "soak": 10^6 steps instead of 2 ×
  * 10^4. */
 #include "fake.h"
 #include "messages.h"

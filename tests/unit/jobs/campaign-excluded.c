@@ -402,7 +402,7 @@ static void draws_for_nobody(void)
   CHECK(exclusions() == NULL);
 }
 
-/* The remaining time: of the drawing from its own rate, and of the generations as soon as there is
+/* The remaining time covers the drawing, from its own rate, and then the generations, once there is
  * one after the first. */
 __attribute__((unused)) static void reports_how_long_it_draws(void)
 {

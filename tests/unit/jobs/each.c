@@ -1,5 +1,5 @@
 /* each.c: trainings of each design alone, with a fake back end: each design ends as a training of
- * its own does, whatever interrupts the job, and the controllers that were asked for are kept. */
+ * its own does, whatever interrupts the job, and the controllers that were requested are kept. */
 #include <limits.h>
 
 #include "fakes.h"

@@ -91,7 +91,7 @@ static void pauses_and_resumes(void)
     check_pauses(mode);
 }
 
-/* A stop, and then another number of workers. */
+/* A stop, and then a different number of workers. */
 static void stops_and_goes_on(void)
 {
   static const uint32_t workers[] = {1, 7, 2};

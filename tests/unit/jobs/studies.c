@@ -13,7 +13,7 @@ static struct mo_campaign_request study_of(const struct mo_campaign_request *req
   return study;
 }
 
-/* Tells the population that was asked for. Returns MO_OK or an error. */
+/* Tells the population that was requested. Returns MO_OK or an error. */
 static int tell(int64_t id, const struct mo_asked *asked, struct mo_telling_reply *reply)
 {
   static const uint8_t state[] = "state";

@@ -1,4 +1,4 @@
-/* stress.c: trainings with settings far outside of the physics' intended range. Whatever the robots
+/* stress.c: trainings with settings far outside the physics' intended range. Whatever the robots
  * do, weights, moments and scores stay finite, and every robot that diverged is reported. */
 #include <morpho/compute.h>
 #include <morpho/learning.h>

@@ -170,7 +170,7 @@ static void refuses_places_that_are_none(void)
 
 static uint8_t rgb[96 * 64 * 3];
 
-/* The scene with a profile in place of the grid. */
+/* The scene with a profile instead of the grid. */
 static size_t make_profile(const char *members)
 {
   static const char grid[] =

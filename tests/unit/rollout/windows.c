@@ -491,7 +491,7 @@ static void refusals(void)
                 MO_ERR_RANGE);
       *numbers[k] = right;
     }
-  /* A leg that the path does not have would be read outside of the task. */
+  /* A leg that the path does not have would be read outside the task. */
   s.tally.leg = 1;
   CHECK_INT(mo_state_check(&s, body, &environment, &physics, MO_FLOAT32, &message), MO_ERR_RANGE);
   s.tally = states[0].tally;

@@ -263,7 +263,7 @@ static void keeps_measures(void)
     CHECK(memcmp(designs[i].measures, means[i], sizeof(means[i])) == 0 || isnan(means[i][0]) ||
           isnan(means[i][1]));
   }
-  /* Scores without measures count only where none are asked for. */
+  /* Scores without measures count only where none are requested. */
   for (int measures = 1; measures >= 0; measures--) {
     for (uint32_t i = 0; i < MADE_POPULATION; i++)
       known[i].measures = found[i];

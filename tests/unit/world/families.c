@@ -131,7 +131,7 @@ static void stairs(void)
 }
 
 /* Distances and heights of random families, over many seeds: within their bounds, and on average
- * what was asked for. */
+ * what was requested. */
 static void random_families(void)
 {
   double distance_sum = 0, height_sum = 0, platform_sum = 0, square = 0;
