@@ -22,17 +22,20 @@ static const char usage[] =
     "varying random "
     "bodies\n  atlas     all bodies of at most ten voxels, their file and its queries, in a new "
     "folder in the given folder (default /tmp)\n  store     speed of durable submissions, saves "
-    "and queries, in a new folder in the given folder (default /tmp)\n  stream    the distinct "
-    "bodies of a pretraining: time and memory\n  evolution  a campaign's bookkeeping without its "
-    "rollouts; `morpho-bench evolution --help`\n\n  --bodies N         a different number of "
-    "bodies\n  --seed N           seed of the bodies' stream (default 1)\n  --workers N        "
-    "threads of `accuracy`, `gradient-accuracy`, `gradient-order`, `stability` (default: one per "
-    "processor)\n  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n  "
-    "--controller PATH  safetensors file (default data/controllers/bootstrap.safetensors)\n  --dt "
-    "MS            time step of `rollout`, `gradient` and `score-error` (default 4)\n  --period "
-    "MS        their control period (default: one step)\n  --integrator NAME  theirs: paper "
-    "(default) or split\n  --quick            a tenth of the bodies\n  --designs FILE     robots "
-    "of `penetration`, a line each (default: random bodies)\n";
+    "and queries, in a new folder in the "
+    "given folder (default /tmp)\n  stream    the distinct bodies of a pretraining: time and "
+    "memory\n  evolution  a campaign's bookkeeping without its rollouts; `morpho-bench evolution "
+    "--help`\n\n  --bodies N         another number of bodies\n  --seed N           seed of the "
+    "bodies' stream (default 1)\n  --workers N        threads of `accuracy`, `gradient-accuracy`, "
+    "`gradient-order`, `stability` (default: one per processor)\n  --isa NAME         x86-64, avx2 "
+    "or avx512 "
+    "(default: the best that runs here)\n  --controller PATH  safetensors file (default "
+    "data/controllers/bootstrap.safetensors)\n  --dt MS            time step of `rollout`, "
+    "`gradient` and `score-error` (default 4)\n  "
+    "--period MS        their control period (default: one step)\n  "
+    "--integrator NAME  theirs: paper (default) or split\n  --quick            a tenth of "
+    "the bodies\n  --designs FILE     robots of `penetration`, a line each (default: random "
+    "bodies)\n";
 
 static const struct {
   const char *name;
