@@ -99,7 +99,7 @@ def settings_of(arguments, seed):
 
 def recipe_of(body):
     """Returns the recipe as one line without commas: always schedule, bound and size, and whatever
-    differs from the usual."""
+    differs from the default."""
     varied = [f"{name} {low:g}..{high:g}" for name, (low, high) in body.get("vary", {}).items()]
     if "controller" in body:
         varied.append("from default")

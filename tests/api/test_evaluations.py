@@ -160,7 +160,7 @@ def test_short_wait_gives_202(service):
 
 
 def test_clients_that_left_do_not_wait(start):
-    """Requests of clients that hang up stop waiting."""
+    """Requests stop waiting when their client hangs up."""
     running = start()
     paused = running.post("/v1/evaluations",
                           {"designs": [DESIGN], "physics": {"n_steps": 1000000}})["id"]

@@ -96,7 +96,7 @@ def test_evogym_connections():
     (([[1, 1]], [[0, 1]]), "(2, n)"),
     (([[1, 1]], [[0, 1], [1]]), "(2, n)"),
     (([[1, 1]], [[0], [2]]), "indices from 0 to 1"),
-    (([[1, 0, 1]], [[0], [2]]), "join the places 0 and 2"),
+    (([[1, 0, 1]], [[0], [2]]), "join the indices 0 and 2"),
 ])
 def test_wrong_robots_of_evogym(wrong, said):
     with pytest.raises(BodyError) as caught:
@@ -112,12 +112,12 @@ def test_wrong_robots_of_evogym(wrong, said):
     (np.array([[0, 2, 0], [1, 2, 0]]), '{"cells": it} reads cells'),
     ([[0, 3, 3], [1, 1, 0], [4, 0, 0]], "ambiguous: Body.evogym(it)"),
     ([[3, 3, 3], [3, 3, 3]], "duplicate of cell 0; Body.evogym(it) reads EvoGym rows"),
-    ([[3, 3, 4], [4, 4, 4]], "z = 4; the workspace has 0 to 3; Body.evogym(it) reads rows"),
+    ([[3, 3, 4], [4, 4, 4]], "z = 4; the workspace has 0 to 3; Body.evogym(it) reads EvoGym rows"),
     ([[5, 3, 3], [5, 3, 3]], "cell 1 is a duplicate of cell 0"),
     ((np.ones((2, 2)), np.zeros((2, 4))), "Body.evogym(pair)"),
     (np.full(WORKSPACE, np.nan), "the value at [0, 0, 0] is nan"),
     (np.full(WORKSPACE, 0.3), "array > 0.5"),
-    (np.ones((4, 6, 6)), "another order"),
+    (np.ones((4, 6, 6)), "a different order"),
     (np.ma.array(np.ones(WORKSPACE), mask=True), "filled(0)"),
     (np.full(WORKSPACE, "0"), "an array of texts: convert it"),
     (np.ones(3), "3 dimensions"),
@@ -163,7 +163,7 @@ def test_one_body_is_not_a_list(one):
 @pytest.mark.parametrize("wrong, said", [
     (np.argwhere(ALL), '{"cells": it} reads cells'),
     (np.ones((5, 144)), r"the shape \(n, 6, 6, 4\), not \(5, 144\)"),
-    (np.ones((2, 4, 6, 6)), "body 0: the shape .* in another order"),
+    (np.ones((2, 4, 6, 6)), "body 0: the shape .* in a different order"),
     (np.ma.ones((2, *WORKSPACE)), "body 0: a masked array"),
     (pandas.DataFrame({"genotype": ["0" * 144]}), 'such as table."genotype"'),
     ({"0" * 36}, "no order"),

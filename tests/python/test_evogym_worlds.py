@@ -155,7 +155,7 @@ def test_what_is_no_world(draw, tmp_path):
         read_world(draw("#####"), spacing_m=2)
     for text, words in (("{", "not JSON"), ("[]", "not an EvoGym world"),
                         ('{"grid_width": 4, "objects": {"a": {"indices": [0], "types": []}}}',
-                         "do not fit")):
+                         "do not match")):
         (tmp_path / "bad.json").write_text(text)
         with pytest.raises(BodyError, match=words):
             read_world(tmp_path / "bad.json")

@@ -96,7 +96,7 @@ def test_evogym_objects_by_name(tmp_path):
         read_bodies(file)
     assert [body.name for body in read_bodies(file, names=["box", "robot"])] == ["box", "robot"]
     assert read_bodies(file, "box")[0].lost == ("material 1 became morphod's only material", )
-    with pytest.raises(BodyError, match="no body 'rob', but ground, robot, bridge and 1 more"):
+    with pytest.raises(BodyError, match="no body 'rob'; it has ground, robot, bridge and 1 more"):
         read_bodies(file, "rob")
     bodies = read_bodies(file, on_fault="skip")
     assert [body.name for body in bodies] == ["robot", "box"]
@@ -185,7 +185,7 @@ def test_populations(tmp_path):
     assert [body.cells for body in bodies] == [
         [tuple(cell) for cell in np.argwhere(polycube)] for polycube in POLYCUBES]
     assert (check_hashes(POLYCUBES, HASHES) == POLYCUBES).all()
-    with pytest.raises(BodyError, match="body 0 has another hash"):
+    with pytest.raises(BodyError, match="body 0 does not match its hash"):
         check_hashes(POLYCUBES.transpose(0, 3, 2, 1), HASHES)
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "population.h5", "w") as file:
@@ -217,7 +217,7 @@ def test_populations(tmp_path):
      "too large"),
     ("a.json", "{", "is not JSON"),
     ("a.json", world(a=([0, 0.5], [1, 1])), "indices are not whole numbers"),
-    ("a.json", world(a=([0, 0], [1, 1])), "given twice"),
+    ("a.json", world(a=([0, 0], [1, 1])), "negative or duplicate"),
     ("a.json", world(a=([0], [7])), "is 7: EvoGym materials are 0"),
     ("a.vxd", vxd("ASCII_READABLE", ["a"], (1, 1, 1)), "characters other than digits"),
     ("a.txt", "", "not a file of bodies"),

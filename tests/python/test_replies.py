@@ -195,5 +195,5 @@ def test_results_of_other_bodies_are_refused(answered):
         else:
             with pytest.raises(morphod.MorphodError, match="is not for the requested body"):
                 client.evaluate([bar])
-    with pytest.raises(morphod.MorphodError, match="has 1 results, not the 2"):
+    with pytest.raises(morphod.MorphodError, match="has 1 results, but 2 were"):
         client.evaluate([bar, bar])

@@ -164,7 +164,7 @@ static void profile_values(void)
   }
 }
 
-/* At the heights themselves, beyond the ends, on the lines, and for numbers that are none. */
+/* At the heights themselves, beyond the ends, on the lines, and for values that are not finite. */
 static void profile_limits(void)
 {
   for (size_t c = 0; c < COUNT(profiles); c++) {
