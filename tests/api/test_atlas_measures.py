@@ -149,7 +149,7 @@ def test_scores_are_in_other_order(service, plain):
     ("measured/best?score_hi=0.5", "score_hi", "needs a measure"),
     ("measured/best?measure=work_j&score_lo=1&score_hi=0", "score_lo", "must be below score_hi"),
     ("measured/histogram?measure=tilt_rad", "measure", "mean_speed_m_per_s"),
-    ("measured/map", "measure", "give a measure"),
+    ("measured/map", "measure", "one of the atlas's measures"),
     ("measured/map?measure=work_j&bins=0", "bins", "1"),
     ("bare/map?measure=work_j", "measure", "has no measures"),
     ("bare/best?measure=work_j", "measure", "has no measures")])

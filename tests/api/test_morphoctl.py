@@ -161,7 +161,7 @@ def test_physics_of_the_paper(ctl):
     value = json.loads(ctl("eval -p paper --json", input_text=CELLS)[1])
     assert [value["physics"][name] for name in ("integrator", "dt_s", "n_steps")] == [
         "paper", 0.004, 1000]
-    for given, said in (("-p paper -p n_steps=20", "stands for all settings"),
+    for given, said in (("-p paper -p n_steps=20", "sets everything"),
                         ("-p Paper", "must be paper or KEY=VALUE")):
         status, out, err = ctl(f"eval {given}", input_text=CELLS)
         assert (status, out) == (2, "") and said in err, err
@@ -171,10 +171,10 @@ def test_physics_of_the_paper(ctl):
     ("[[0,3,3],[1,1,0],[4,0,0]]", 'cells [x, y, z] or EvoGym rows: write {"cells": [...]}'),
     ("[[3,3,3],[3,3,3]]", "EvoGym rows"),
     (json.dumps([[4, 4, 4]] * 200), "EvoGym rows"),
-    ("[[3,3,0,3],[1,1,0,1]]", "morphod.read_bodies of the Python package"),
-    ("[[[3,3],[4,0]],[[0,0],[1,2]]]", "morphod.read_bodies of the Python package"),
+    ("[[3,3,0,3],[1,1,0,1]]", "morphod.read_bodies in the Python package"),
+    ("[[[3,3],[4,0]],[[0,0],[1,2]]]", "morphod.read_bodies in the Python package"),
     ('{"grid_width": 9, "grid_height": 9, "objects": {}}', "an EvoGym world is not a design"),
-    ("<VXD></VXD>", "morphod.read_bodies of the Python package"),
+    ("<VXD></VXD>", "morphod.read_bodies in the Python package"),
 ])
 def test_bodies_of_other_programs_are_refused(ctl, text, said):
     status, out, err = ctl(f"eval {SHORT} --repair largest", input_text=text)

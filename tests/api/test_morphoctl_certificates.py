@@ -203,7 +203,7 @@ def test_one_that_is_not_complete(service, ctl, certified):
     assert ctl(f"job cancel {job}")[0] == 0
     done = await_end(service, f"/v1/jobs/{job}").json()["certificate"]["trials_done"]
     status, out, _ = ctl(f"certificate {job}")
-    assert status == 0 and f"certificate    {job}, not complete: " in out
+    assert status == 0 and f"certificate    {job}, incomplete: " in out
     assert len(table_below(out, "axis")) == done < 4
     other = service.post("/v1/certificates", {"designs": [DESIGN] * 200})["id"]
     assert ctl(f"job cancel {other}")[0] == 0

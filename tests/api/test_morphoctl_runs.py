@@ -365,7 +365,7 @@ def test_wrong_campaigns(ctl):
         assert status == 6 and words in err, (arguments, err)
     for arguments, words in ((["start", "zero-shot", "--workspace", "6,6"], "X,Y,Z"), ([
                                  "start", "zero-shot", "--from", "0"
-                             ], "id of a job"), (["extend", "1", "none"], "further generations"), ([
+                             ], "a job id"), (["extend", "1", "none"], "additional"), ([
                                  "export", "1"
                              ], "nothing to export"), ([
                                  "champions", "1", "-o", "x", "--generation", "0"

@@ -158,7 +158,7 @@ def test_states_that_do_not_fit_are_refused(service):
         (value | {"states": [[]]}, "object"),
         (value | {"states": [{}]}, "missing"),
         (value | {"environments": [WORLD, WORLD],
-                  "states": [state, with_member(state, ["time_s"], 0.014)]}, "another time"),
+                  "states": [state, with_member(state, ["time_s"], 0.014)]}, "a different time"),
     ]
     masses = len(state["positions_m"])
     others += [

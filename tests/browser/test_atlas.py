@@ -305,7 +305,7 @@ def test_a_site_is_small_and_records_motion(service, answers, site, tmp_path):
             expected = page.driver.execute_async_script(MUST_WALK)
             assert len(expected) == 17 and set(expected) <= {one["id"] for one in shown}
             page.until("/^Recorded/.test(document.querySelector('.walk-words').innerText)")
-            assert "its physics, " + inputs(service)[1][:8] in page.texts(".walk-words")[0]
+            assert "of the atlas, " + inputs(service)[1][:8] in page.texts(".walk-words")[0]
             page.until("document.querySelector('.stage').player.stage.durationS() > 1")
             other = page.driver.execute_async_script(OTHER, [one["id"] for one in shown])
             page.driver.get(page.base + "#voxels=" + other)

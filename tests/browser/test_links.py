@@ -19,7 +19,7 @@ BROKEN = {
     "stage?designs=" + "88" + "0" * 34 + ",12": "12 is not a design",
     "stage?world=moon": "campaign-N or evaluation-N", "stage?speed=7": "one of 2, 1, 0.5",
     "stage?show=bones": "a list of skin", "stage?view=1_2": "a camera as six numbers",
-    "stage?time=soon": "a number of seconds", "stage?follow=9": "the place of a robot",
+    "stage?time=soon": "a number of seconds", "stage?follow=9": "the number of a robot",
     "stage?evaluation={evaluation}&rows=5": "the evaluation has no design 5",
     "designs?order=tallest": "one of best, worst", "designs?controller=nobody": "no controller",
     "overview?state=bored": "one of queued", "overview?archived=maybe": "one of true, all",

@@ -119,7 +119,7 @@ def test_a_sampler_that_was_not_saved(m):
     with pytest.raises(ValueError, match="'reach' is inf"):
         study.tell([DESIGN["cells"]], measures={"reach": [np.inf]})
     study.tell([DESIGN["cells"]])
-    with pytest.raises(morphod.MorphodError, match="came without sampler_state"):
+    with pytest.raises(morphod.MorphodError, match="was sent without sampler_state"):
         study.restore()
     study.finish()
 

@@ -303,11 +303,11 @@ static void held_out_of_lists(void)
   }
 
   set_profile(&own[2], 0, 0.05);
-  CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT), "not 8 x 8 heights");
+  CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT), "lists with 8 x 8 heights");
   CHECK(trial_of(&settings, &base, MO_AXIS_HELD_OUT) == NULL);
   own[2] = kept;
   set_grid(&own[2], 0, 0.05);
-  CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT), "not 8 x 8 heights");
+  CHECK_HAS(mo_certificate_omits(&settings, &base, MO_AXIS_HELD_OUT), "lists with 8 x 8 heights");
   own[2] = kept;
   for (int i = 0; i < MO_TERRAIN_HEIGHTS; i++)
     own[2].terrain_heights_m[i] = MO_TERRAIN_FLOOR_M; /* level */
@@ -380,7 +380,7 @@ static void omitted(void)
                                                                 : 1,
              NULL);
   base.precision = MO_FLOAT64;
-  expect(&base, MO_AXIS_PRECISION, 0, "float64 already");
+  expect(&base, MO_AXIS_PRECISION, 0, "already computed in float64");
   expect(&base, MO_AXIS_STEP, 2, NULL);
   base = usual;
   base.physics.scheme.n_steps = 500000;

@@ -324,7 +324,7 @@ SERVICE_CASE(reports_damaged_checkpoints, 1)
     CHECK(ends_right(id, MO_SIMULTANEOUS));
     if (round == 0) {
       CHECK_INT(warnings, 1);
-      CHECK(has_warned("repeats its learning"));
+      CHECK(has_warned("generation's learning is repeated"));
     }
   }
 }
