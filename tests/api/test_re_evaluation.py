@@ -240,7 +240,8 @@ def test_tables(service, made):
 
 
 @pytest.mark.parametrize("value, pointer, words", [
-    (CAMPAIGN | {"environments": PLACES, "re_evaluate": {}}, "/re_evaluate", "no fresh worlds can be drawn: "),
+    (CAMPAIGN | {"environments": PLACES, "re_evaluate": {}}, "/re_evaluate",
+     "no fresh worlds can be drawn: "),
     (CAMPAIGN | {"environments": "morpho-12-walk-held-out", "re_evaluate": {}}, "/re_evaluate",
      "already a held-out set"),
     (WALK | {"re_evaluate": {"environments": 65}}, "/re_evaluate/environments", "at most 64"),
