@@ -143,7 +143,7 @@ def test_a_step_beyond_the_bound_is_flagged(service, integrator):
         job = service.post(f"/v1/{path}", request | {"physics": beyond})
         assert codes(job)[-1] == "unstable_step", (path, job)
         detail = job["warnings"][-1]["detail"]
-        assert f"dt_s {beyond['dt_s']:.6g} is beyond" in detail and integrator in detail, detail
+        assert f"dt_s {beyond['dt_s']:.6g} exceeds" in detail and integrator in detail, detail
         assert f" bound of {bound:.3g} for stiffness_n_per_m 50000, mass_kg 2" in detail, detail
         usable = float(detail.rsplit(" ", 1)[1])
         assert 0.7 * bound < usable <= 0.8 * bound, detail

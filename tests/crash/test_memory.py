@@ -102,7 +102,7 @@ def test_small_memory(folder, cgroup):
             end(submit("campaigns", drawless | {"controller": name}))
         huge = one.send("/v1/trainings", {"kind": "pretrain", "steps": 30000, "batch": 8192})
         assert huge.status_code == 422, huge.text
-        assert re.search(r"needs \d+ MiB .* can have \d+ MiB", huge.text), huge.text
+        assert re.search(r"needs \d+ MiB .* can use only \d+ MiB", huge.text), huge.text
         jobs = [
             ("trainings", {"kind": "pretrain", "steps": 2, "batch": 32, "physics": "paper",
                            "validation": {"every_steps": 0}}),

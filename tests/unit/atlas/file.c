@@ -325,7 +325,7 @@ static void measures_that_lie(void)
               {SOME, 0xff800000, MO_ERR_CORRUPT, "damaged or unsorted"},
               {0, 0, MO_ERR_CORRUPT, "head"},
               {1, 0, MO_ERR_CORRUPT, "should have"},
-              {SOME | 1U << MO_MEASURES, 0, MO_ERR_UNSUPPORTED, "does not know"}};
+              {SOME | 1U << MO_MEASURES, 0, MO_ERR_UNSUPPORTED, "unknown measures"}};
   char path[FIXTURE_PATH];
   size_t size;
   uint8_t *bytes = small_file_with(SOME, path, &size);

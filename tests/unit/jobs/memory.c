@@ -28,12 +28,12 @@ SERVICE_CASE(refuses_what_never_fits, 1)
   REQUIRE(id > 0);
   REQUIRE_OK(reopen_in(224 * MIB, false));
   CHECK_INT(submit_training(&request), MO_ERR_LIMIT);
-  CHECK_SAYS(fixture.message, "can have 136 MiB");
+  CHECK_SAYS(fixture.message, "can use only 136 MiB");
   CHECK_SAYS(fixture.message, "max_memory");
   evolves.record.settings.population = MO_POPULATION_MAX;
   CHECK_INT(submit_campaign(&evolves), MO_ERR_LIMIT);
   /* The job that is already stored waits, and does not block other jobs. */
-  CHECK(await_reason(id, "jobs can have 136 MiB"));
+  CHECK(await_reason(id, "jobs can use only 136 MiB"));
   CHECK(succeeds(submit_one(TRAINING), NULL));
   CHECK_INT(state_of(id), MO_JOB_QUEUED);
   CHECK(await_reason(id, "raise max_memory"));
