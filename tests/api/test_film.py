@@ -120,10 +120,10 @@ def test_a_film_of_champions(ctl, service, tmp_path):  # noqa: F811
 
 @pytest.mark.parametrize("command, words", (
     ("eval --film -", "a folder that ends with /"), ("eval --film x.y4m --no-wait", "--wait"),
-    ("eval --film x.y4m --size 1x1", "WIDTHxHEIGHT"), ("eval --light", "--light is for --film"),
+    ("eval --film x.y4m --size 1x1", "WIDTHxHEIGHT"), ("eval --light", "--light needs --film"),
     ("eval --film x.y4m --environment 64", "--environment"),
     ("campaign champions 1 --film x.y4m --generation 0", "newest generation"),
-    ("campaign champions 1 --rate 9", "--rate is for --film")))
+    ("campaign champions 1 --rate 9", "--rate needs --film")))
 def test_films_are_refused_first(ctl, service, command, words):  # noqa: F811
     before = service.get("/v1/evaluations?limit=1")["items"]
     status, _, said = ctl(command, input_text=CELLS)

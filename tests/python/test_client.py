@@ -283,7 +283,7 @@ def test_random_designs(m):
     assert list(best.score[:2]) == sorted(listed.scores)[:2] and not best.lower_bound.any()
     many = m.evaluate_random(10_001, environments=WORLD[:1], physics={"n_steps": 1})
     assert len(many) == 10_001 and len(many.table()) == 10_001
-    with pytest.raises(morphod.MorphodError, match="table.. reads"):
+    with pytest.raises(morphod.MorphodError, match="use table.. to read"):
         many.scores
     sent = m.evaluate(m.random_bodies(10_001), WORLD[:1], physics={"n_steps": 1})
     assert len(sent) == 10_001 and (sent.table().score == many.table().score).all()
