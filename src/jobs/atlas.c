@@ -181,7 +181,7 @@ static int open_writer(void *context)
   if (run->is_complete || error == MO_OK)
     return MO_OK;
   run->runner->busy_text = "another process is writing the unfinished file of this atlas; stop it, "
-                           "and the job continues";
+                           "and the job will continue";
   return mo_runner_fail(run->runner, error == MO_ERR_CONFLICT ? MO_ERR_DUPLICATE : error,
                         message.text);
 }

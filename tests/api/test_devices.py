@@ -305,7 +305,7 @@ def test_want_of_memory(start, undisturbed, tmp_path):
                           ("evaluations", {**LARGE, "physics": {"n_steps": 9}})):
         job = run(service, kind, {**request, "device": "cuda"})
         assert job["state"] == "paused" and job["attempts"] == 0
-        assert job["error"]["code"] == "device" and "lack memory" in job["error"]["detail"]
+        assert job["error"]["code"] == "device" and "enough memory" in job["error"]["detail"]
         assert "resume" in job["error"]["detail"]
         jobs.append((kind, job["id"]))
     assert service.stop() == 0

@@ -284,7 +284,7 @@ def test_positions_outside(small):
             atlas.score(position)
     with pytest.raises(OutsideError, match="1 to 4 voxels"):
         atlas.scores(5)
-    with pytest.raises(ValueError, match="steps are"):
+    with pytest.raises(ValueError, match="steps must be"):
         atlas.neighbors(0, "grow")
 
 

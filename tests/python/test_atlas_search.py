@@ -64,7 +64,7 @@ def test_bodies_outside_are_never_repaired(atlas):
     with pytest.raises(OutsideError, match="6 voxels"):
         strict.evaluate_all(np.stack([voxels_of([atlas.genotype(3)])[0], too_large]))
     assert strict.evaluations == 3
-    with pytest.raises(ValueError, match="outside is"):
+    with pytest.raises(ValueError, match="outside must be"):
         Problem(atlas, outside="repair")
 
 
