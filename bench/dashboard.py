@@ -18,18 +18,25 @@ sys.path[:0] = [str(SOURCE / "tests" / "browser"), str(SOURCE / "tests" / "api")
 
 from browser import SITE, Browser  # noqa: E402
 from dashboard_data import N_JOBS, Filled  # noqa: E402
+from dashboard_drive import SCREEN, drive_robots  # noqa: E402
 from dashboard_streams import daemon_share  # noqa: E402
 from service import await_end  # noqa: E402
 
 RUNS = 7
 # Times from the start of the navigation to the first drawing of a page: robots on a stage, the
-# curve of a chart. A chart without values strokes nothing.
+# curve of a chart. A chart without values strokes nothing. The first motion is the picture after
+# the first one with robots, which begins when that is on the screen.
 FIRST_DRAWS = """
-window.firstStroke = window.firstTiles = undefined;
+window.firstStroke = window.firstTiles = window.firstMotion = undefined;
 const { stroke } = CanvasRenderingContext2D.prototype;
 CanvasRenderingContext2D.prototype.stroke = function (...all) {
   window.firstStroke ??= performance.now();
   return stroke.apply(this, all);
+};
+const { fenceSync } = WebGL2RenderingContext.prototype;
+WebGL2RenderingContext.prototype.fenceSync = function (...all) {
+  if (firstPicture()) window.firstMotion ??= performance.now();
+  return fenceSync.apply(this, all);
 };
 new MutationObserver(() => {
   if (document.querySelector('.tile')) window.firstTiles ??= performance.now();
@@ -70,6 +77,10 @@ class Page(Browser):
         return result
 
 
+class AtLeast(float):
+    """A bound from below; others are from above."""
+
+
 # ---- measurements: each yields (what, measured, unit, bound or None) ----
 
 def assets(data, _):
@@ -102,8 +113,14 @@ def overview(_, page):
 
 def home(_, page):
     """The best robot of the store, on its ground."""
-    times = [page.load("", "firstPicture()") for _ in range(RUNS)]
+    times = [page.load("", "firstMotion") for _ in range(RUNS)]
     yield "home, first motion", statistics.median(times), "ms", 600
+
+
+def campaign(data, page):
+    """The champions of a campaign."""
+    times = [page.load(f"campaigns/{data.run}", "firstPicture()") for _ in range(RUNS)]
+    yield "page of a run, its first robots", statistics.median(times), "ms", 500
 
 
 def stage(_, page):
@@ -305,6 +322,72 @@ return times;
 """
 
 
+# Plays for a while. Returns (pictures per second, ms of script per picture): a picture begins once
+# the previous one has been drawn.
+PLAY = """
+const { player, player: { stage } } = document.querySelector('.stage');
+player.setPlaying(true);
+const wait = (seconds) => new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
+await wait(2);  // the resolution has been adapted
+let pictures = 0;
+let scriptMs = 0;
+const draw = stage.draw.bind(stage);
+stage.draw = (how) => {
+  pictures++;
+  draw(how);
+};
+const ask = window.requestAnimationFrame;
+window.requestAnimationFrame = (act) => ask((now) => {
+  const before = pictures;
+  const started = performance.now();
+  act(now);
+  if (pictures > before) scriptMs += performance.now() - started;
+});
+const started = performance.now();
+await wait(arguments[0]);
+window.requestAnimationFrame = ask;
+delete stage.draw;
+return [1000 * pictures / (performance.now() - started), scriptMs / pictures];
+"""
+
+
+def frames(data, page):
+    """Pictures of robots that walk, as large as a screen."""
+    page.send("Emulation.setDeviceMetricsOverride", SCREEN)
+
+    def play(n):
+        ids = [item["id"] for item in data.service.get(f"/v1/designs?limit={n}")["items"]]
+        page.load("stage?designs=" + ",".join(ids), "firstPicture()")
+        page.until_walking()
+        page.run("document.querySelector('.stage canvas').style.cssText ="
+                 "'position:fixed;top:0;left:0;width:1280px;height:720px'")
+        return page.script(PLAY, 8)
+
+    rate, _ = play(1)
+    _, script_ms = play(48)
+    page.send("Emulation.clearDeviceMetricsOverride")
+    yield "a robot in 1280 × 720, pictures per second", rate, "", AtLeast(5)
+    yield "48 robots in 1280 × 720, script of a picture", script_ms, "ms", 8
+
+
+def drive(data, page):
+    """A robot that walks for a minute while its light is dragged, then eight for 20 s."""
+    pictures, turns, share = drive_robots(data.service, page, data.driven[:1], 20)
+    yield "driving: drag until the robot has turned", statistics.median(turns), "ms", 250
+    pairs = list(zip(pictures, pictures[1:]))
+    moves = [b["atMs"] for a, b in pairs if b["timeS"] > a["timeS"]]
+    yield ("driving: longest time without motion", max(b - a for a, b in zip(moves, moves[1:])),
+           "ms", 200)
+    stalls = sum(b["heldS"] > a["heldS"] for a, b in pairs)
+    yield "driving: waits for the service in a minute", stalls, "", 0
+    yield "driving: daemon per robot, share of a core", 100 * share, "%", 5
+    pictures, _, share = drive_robots(data.service, page, data.driven[:8], 7)
+    first, last = pictures[0], pictures[-1]
+    pace = 1000 * (last["timeS"] - first["timeS"]) / (last["drawnMs"] - first["drawnMs"])
+    yield "driving eight: simulated seconds per second", pace, "", AtLeast(0.98)
+    yield "driving eight: daemon per robot, share of a core", 100 * share, "%", 5
+
+
 def many_robots(data, page):
     ids = [item["id"] for item in data.service.get("/v1/designs?limit=256")["items"]]
     assert len(ids) == 256
@@ -321,8 +404,8 @@ def streams(data, page):
 
 
 MEASURES = {function.__name__: function for function in
-            (assets, overview, home, stage, lab, atlas, chart, many_robots, streams, jobs,
-             phylogeny)}
+            (assets, overview, home, stage, campaign, lab, atlas, chart, frames, drive, many_robots,
+             streams, jobs, phylogeny)}
 
 
 def main():
@@ -346,11 +429,13 @@ def main():
                 if ARGUMENTS.only and name not in ARGUMENTS.only:
                     continue
                 for what, measured, unit, bound in MEASURES[name](data, page):
-                    ok = bound is None or measured <= bound
+                    is_low = isinstance(bound, AtLeast)
+                    ok = bound is None or (measured >= bound if is_low else measured <= bound)
                     results.append({"name": name, "what": what, "measured": measured,
                                     "unit": unit, "bound": bound, "ok": ok})
-                    verdict = "" if bound is None else f"<= {bound:5} {'ok' if ok else 'MISSED'}"
-                    print(f"{what:42} {measured:8.4g} {unit:3} {verdict}".rstrip(), flush=True)
+                    verdict = "" if bound is None else (
+                        f"{'>=' if is_low else '<='} {bound:5} {'ok' if ok else 'MISSED'}")
+                    print(f"{what:48} {measured:8.4g} {unit:3} {verdict}".rstrip(), flush=True)
                 faults = page.faults()
                 assert not faults, faults
         finally:

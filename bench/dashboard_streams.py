@@ -41,15 +41,15 @@ def newest_generation(service, campaign):
     return service.get(f"/v1/campaigns/{campaign}")["progress"]["generation"] or 0
 
 
-def cpu_s(pid):
-    """Returns seconds of processor time of the threads that do not compute rollouts."""
+def cpu_s(pid, rollouts=False):
+    """Returns seconds of processor time of the threads that do not compute rollouts, or of all."""
     total = 0
     for task in pathlib.Path(f"/proc/{pid}/task").iterdir():
         try:
             name, rest = (task / "stat").read_text().rsplit(")", 1)
         except FileNotFoundError:
             continue
-        if "(mo-worker" not in name:
+        if rollouts or "(mo-worker" not in name:
             fields = rest.split()
             total += int(fields[11]) + int(fields[12])
     return total / os.sysconf("SC_CLK_TCK")

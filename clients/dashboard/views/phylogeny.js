@@ -254,8 +254,9 @@ export class PhylogenyCanvas {
   }
 }
 
-/** Loads a phylogeny as columns: the ancestors of the living, or all designs. */
-async function loadColumns(id, keep, signal) {
+/** Loads a phylogeny as columns: the ancestors of the living, or all designs. (bench/dashboard.py
+ * uses it, too.) */
+export async function loadColumns(id, keep, signal) {
   const path = withQuery(`v1/campaigns/${id}/phylogeny`, { format: 'columns', keep });
   const response = await request(path, { signal });
   const { header, array } = decodeScene(await response.arrayBuffer());
