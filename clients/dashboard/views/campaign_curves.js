@@ -97,13 +97,16 @@ export class CampaignCurves {
   }
 
   async refresh() {
+    // The first robots do not wait for the curves.
+    const isFirst = this.stage.isEmpty;
+    if (isFirst) this.champions.refresh();
     const fresh = await Promise.all([...this.curves, ...(this.replicates ? [this.replicates] : [])]
       .map((curve) => curve.refresh(this.shared.signal)));
     if (fresh.some(Boolean)) {
       this.#show();
       await this.compared?.refresh();
     }
-    if (fresh[0] || this.stage.isEmpty) this.champions.refresh(); // no need to wait for them
+    if (fresh[0] && !isFirst) this.champions.refresh(); // no need to wait for them
   }
 
   #show() {

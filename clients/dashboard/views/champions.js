@@ -7,7 +7,7 @@ import { picture } from '../lib/picture.js';
 import { rollOfCampaign } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { trayButton } from './add.js';
-import { breedButton } from './forms.js';
+import { breedButton } from './start_buttons.js';
 
 const badges = () => import('./certificate_badges.js');
 const WALKING_MAX = 64;
@@ -107,8 +107,8 @@ export class Champions {
       (element, design) => {
         element.querySelector('.crown').hidden = design.number !== best.number;
       });
+    if (this.stage.isEmpty) this.stage.walk(shown.slice(0, 4)); // need not wait for the badges
     (await badges()).markCards(this.cards, shown, this.shown, again);
-    if (this.stage.isEmpty) await this.stage.walk(shown.slice(0, 4));
   }
 
   /** Returns the card of a champion: it walks here, or is selected for the stage or as a

@@ -6,8 +6,8 @@ import { coalesced } from '../lib/events.js';
 import { ago, bytes, count, number } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { comparison } from './controller_comparison.js';
-import { startButton } from './forms.js';
 import { copyButton, saveLink } from './share.js';
+import { startButton } from './start_buttons.js';
 
 export async function mount(main, path, parameters, app) {
   const stop = new AbortController();

@@ -11,8 +11,8 @@ import { environmentSet, roll } from '../lib/rollouts.js';
 import { TASKS } from '../lib/tasks.js';
 import { Player } from '../stage/player.js';
 import { trayButton } from './add.js';
-import { breedButton } from './forms.js';
 import { announced, copyButton } from './share.js';
+import { breedButton } from './start_buttons.js';
 import { Wall } from './wall.js';
 
 const PAGE = 48;

@@ -7,12 +7,11 @@ import { CAMPAIGN_PRESETS, TRAINING_PRESETS, TRAINING_STEPS } from '../lib/defau
 import { estimateFor } from '../lib/estimate.js';
 import { shellWord } from '../lib/format.js';
 import { KINDS } from '../lib/kinds.js';
-import { may } from '../lib/rights.js';
 import { isSuite } from '../lib/rollouts.js';
 import { ANY_LIGHT, SUITE, TASKS } from '../lib/tasks.js';
 import { DESIGNS_HINT, LearnedOn, designsIn } from './form_designs.js';
 import { fieldsOf, hintOf } from './form_fields.js';
-import { announced, copyDialog } from './share.js';
+import { copyDialog } from './share.js';
 import { TaskChoice } from './task_choice.js';
 
 /**
@@ -61,12 +60,6 @@ function morphoctlOf(kind, request, learnedOn) {
   if (learnedOn) return [...words, ...learnedOn].map(shellWord).join(' ');
   const designs = request.designs ?? request.initial?.designs ?? [];
   return [...words, ...designs.map(({ id, voxels }) => id ?? voxels)].map(shellWord).join(' ');
-}
-
-/** Returns the button that starts a kind of job, or null if the caller may not. */
-export function startButton(app, kind, attributes = {}) {
-  return may('submit')
-    ? button(`New ${kind}`, () => announced(() => startDialog(app, kind)), attributes) : null;
 }
 
 /**
@@ -207,12 +200,3 @@ const founders = (n) =>
  */
 export const breed = (app, designs) => startDialog(app, 'campaign', { initial: { designs } },
   { population: Math.max(32, designs.length), generations: 20, exclude_pretraining: false });
-
-/**
- * Returns the button that does this; hidden if the caller may not start a campaign.
- * @param {() => object[]} designsOf {id} or {voxels} each
- */
-export function breedButton(app, text, designsOf, attributes = {}) {
-  return button(text, () => announced(() => breed(app, designsOf())),
-    { ...attributes, hidden: !may('submit') });
-}

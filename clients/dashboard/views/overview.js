@@ -9,10 +9,10 @@ import { kindOf, linkOf, pathOf, titleOf } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
 import { environmentsOfCampaign } from '../lib/rollouts.js';
 import { measureOf, meters, taskNameOf, worldsOfTraining } from '../lib/tasks.js';
-import { startButton } from './forms.js';
 import { copyButton } from './share.js';
 import { JobParts } from './jobs.js';
 import { COLUMNS, cellsOf } from './run_rows.js';
+import { startButton } from './start_buttons.js';
 
 const REFRESH_MS = 2000;
 const LOAD_S = 3600;

@@ -10,10 +10,10 @@ import { KINDS, groupOf, isMoving, linkOf } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
 import { LazyRows } from '../lib/rows.js';
 import { RunList } from '../lib/run_list.js';
-import { startButton } from './forms.js';
 import { RunActions } from './run_actions.js';
 import { COLUMNS, cellsOf, jobsOf, rowsOf } from './run_rows.js';
 import { commandSections, showDialog } from './share.js';
+import { startButton } from './start_buttons.js';
 
 const STATES = ['queued', 'running', 'paused', 'succeeded', 'failed', 'cancelled'];
 const ARCHIVES = [['', 'not archived'], ['true', 'archived'], ['all', 'including archived']];

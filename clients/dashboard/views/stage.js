@@ -14,8 +14,8 @@ import { nameOf } from '../lib/names.js';
 import { POINTS_MAX, pointsIn, pointsText } from '../lib/tasks.js';
 import { trayButton } from './add.js';
 import { Driving } from './drive.js';
-import { breedButton } from './forms.js';
 import { announced, copyDialog, exportDialog, filmCommand, filmOf, formDialog } from './share.js';
+import { breedButton } from './start_buttons.js';
 
 /** Maximum number of robots that walk at once. */
 const ROBOTS_MAX = 256;

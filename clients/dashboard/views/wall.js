@@ -6,7 +6,7 @@ import { nameOf, shortOf } from '../lib/names.js';
 import { picture } from '../lib/picture.js';
 import { meters } from '../lib/tasks.js';
 import { trayButton } from './add.js';
-import { breedButton } from './forms.js';
+import { breedButton } from './start_buttons.js';
 
 /** Formats a result: its value in meters if its task has one, or else its score. */
 const wordsOf = (design) => (design.unit === 'm' && !design.lower_bound && design.value !== null
