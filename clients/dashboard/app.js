@@ -87,6 +87,8 @@ export const app = {
   task: taskOf(storing(() => sessionStorage.getItem(TASK_KEY))) ?? TASKS[0],
   /** The newest notable events, oldest first. */
   recent: [],
+  /** Whether those before this page have been loaded. */
+  knowsRecent: false,
   /** Called with the theme after each change. */
   themeListeners: new Set(),
   /** Returns the contract: bounds and defaults of the forms. It is loaded once, when first
@@ -316,7 +318,8 @@ class Frame {
         continue;
       }
       link.setAttribute('aria-current', 'page');
-      link.scrollIntoView({ block: 'nearest', inline: 'nearest' });
+      // Not now, because that would lay out the page one more time.
+      requestAnimationFrame(() => link.scrollIntoView({ block: 'nearest', inline: 'nearest' }));
     }
     if (!entry) {
       this.#offerTasks(false);
@@ -368,6 +371,8 @@ class Frame {
       if (error.status === undefined && !(error instanceof LinkError)) {
         console.error(error);
       }
+    } finally {
+      this.#stream();
     }
   }
 
@@ -407,16 +412,24 @@ class Frame {
     if (!this.main.contains(document.activeElement)) heading?.focus({ preventScroll: true });
   }
 
-  /** Starts to follow events, once. Views load after that, so that they miss no change. */
+  /** Notes the newest event, once. Views load after that, so that they miss no change. */
   #followEvents() {
-    this.following ??= app.events.start().then((last) => {
-      followNotices(app);
-      app.events.upTo(last).then((events) => {
-        app.recent.unshift(...events);
-        this.view?.update?.({ type: 'recent' });
-      }, () => {});
-    }, () => { this.following = null; });
+    this.following ??= app.events.start().then((last) => { this.since = last; },
+      () => { this.following = null; });
     return this.following;
+  }
+
+  /** Starts to stream what follows that event, once. The first view sends its requests before. */
+  #stream() {
+    const { since } = this;
+    if (since === undefined || this.isStreaming) return;
+    this.isStreaming = true;
+    followNotices(app);
+    app.events.upTo(since).then((events) => {
+      app.recent.unshift(...events);
+      app.knowsRecent = true;
+      this.view?.update?.({ type: 'recent' });
+    }, () => {});
   }
 
   /** Asks the service once who the caller is, and states what the page omits. */

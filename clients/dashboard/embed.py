@@ -147,10 +147,11 @@ def modules_of(sources: dict[str, str], name: str) -> set[str]:
 def preload(sources: dict[str, str]) -> str:
     core = modules_of(sources, "app.js")
     lines = [f'<link rel="modulepreload" href="@assets@/{name}">' for name in sorted(core)]
-    for view in re.findall(r"module: '\./(.*?)'", sources["app.js"]):
+    for key, view in re.findall(r"^  (\w+): \{ name: .*module: '\./(.*?)'", sources["app.js"],
+                                re.MULTILINE):
         names = " ".join(name.removesuffix(".js")
                          for name in sorted(modules_of(sources, view) - core))
-        lines.append(f'<meta name="./{view}" content="{names}">')
+        lines.append(f'<meta name="./{view}" data-view="{key}" content="{names}">')
     return "\n".join(lines)
 
 

@@ -57,11 +57,11 @@ export class Events {
     this.#change();
   }
 
-  /** Starts after the newest event, so that later reads miss none. Returns its number. */
+  /** Notes the number of the newest event, so that later reads miss none, and returns it. `wake`
+   * starts to stream. */
   async start() {
     const page = await getJson('v1/events?format=json&after=0&limit=1');
     this.last = Number(page.newest);
-    this.#change();
     return this.last;
   }
 

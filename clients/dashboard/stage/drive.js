@@ -16,8 +16,8 @@ const BEGIN_S = 0.5;
 const MOVING_MS = 120;
 /** While the light moves, the same window is computed again at most this often. */
 const AGAIN_MS = 60;
-/** A request is for at most this many windows. */
-const WINDOWS_MAX = 4;
+/** A request is for at most this long. */
+const REQUEST_MAX_S = 0.8;
 /** Windows of a request last this many times as long as its reply takes. */
 const SPARE = 1.5;
 /** A reply that takes longer does not count as longer. */
@@ -38,7 +38,7 @@ const RETRY_MS = 500;
  * @property {number} movedMs when the light moved there
  * @property {(Part|null)[]} parts one per robot; null after a divergence: it stays where it is
  * @property {(Object|null)[]|null} states at the end of the window; null after a divergence; null
- *   for all within a request
+ *   for all within a request, and once a later window plays
  */
 
 export class Drive {
@@ -66,6 +66,8 @@ export class Drive {
     /** @type {Window[]} windows, starting with number `first` */
     this.windows = [];
     this.first = 0;
+    /** Number of the first window whose states are kept. */
+    this.stated = 0;
     /** For how long the motion has been held in all, because a window was missing. */
     this.heldS = 0;
     this.hasBegun = false;
@@ -91,7 +93,7 @@ export class Drive {
   /** Number of windows per request. */
   get perRequest() {
     const needed = Math.ceil(SPARE * this.replyMs * this.speed / (1000 * this.windowS));
-    return Math.max(1, Math.min(WINDOWS_MAX, needed));
+    return Math.max(1, Math.min(Math.round(REQUEST_MAX_S / this.windowS), needed));
   }
 
   /** Moves the light: robots turn at the next window that can still be computed in time. */
@@ -149,6 +151,8 @@ export class Drive {
   }
 
   #forget() {
+    // No window starts any more where one has been played.
+    while (this.stated < this.current) this.windows[this.stated++ - this.first].states = null;
     const most = Math.ceil(this.keepS / this.windowS);
     while (this.current - this.first > most) {
       this.windows.shift();

@@ -92,16 +92,32 @@ export class Program {
 }
 
 let software;
+/** A canvas that is ready to be drawn on in software, where making a context takes long. */
+let spare = null;
+
+/** Returns a canvas for a stage. */
+export function stageCanvas() {
+  isSoftware();
+  const canvas = spare ?? document.createElement('canvas');
+  spare = null;
+  return canvas;
+}
+
+/** Returns the context of a stage. */
+export const stageContext = (canvas, antialias) =>
+  canvas.getContext('webgl2', { antialias, alpha: false, preserveDrawingBuffer: true });
 
 /** Returns whether the browser draws without a graphics processor. */
 export function isSoftware() {
   if (software === undefined) {
-    // A separate context, because the result decides how the other ones are made.
-    const gl = document.createElement('canvas').getContext('webgl2');
+    // The result decides how contexts are made. Without a graphics processor, this one will do.
+    const canvas = document.createElement('canvas');
+    const gl = stageContext(canvas, false);
     const about = gl?.getExtension('WEBGL_debug_renderer_info');
     const name = gl?.getParameter(about ? about.UNMASKED_RENDERER_WEBGL : gl.RENDERER) ?? '';
     software = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
-    gl?.getExtension('WEBGL_lose_context')?.loseContext();
+    if (software) spare = canvas;
+    else gl?.getExtension('WEBGL_lose_context')?.loseContext();
   }
   return software;
 }

@@ -4,8 +4,8 @@ import { announce, button, choice, fill, h, say, toggle } from '../lib/dom.js';
 import { percent } from '../lib/format.js';
 import { resultOf } from '../lib/tasks.js';
 import { driveCamera } from './camera.js';
-import { isSoftware } from './gl.js';
-import { Stage } from './stage.js';
+import { isSoftware, stageCanvas } from './gl.js';
+import { Stage, takeStage } from './stage.js';
 import { Standings } from './standings.js';
 import { Tags } from './tags.js';
 
@@ -37,7 +37,11 @@ export class Player {
     const { compact = false, height, onchange = () => {} } = options;
     this.app = app;
     this.onchange = onchange;
-    this.canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': 'Stage: no robots yet' });
+    const ready = takeStage();
+    this.canvas = ready?.canvas ?? stageCanvas();
+    this.canvas.tabIndex = 0;
+    this.canvas.setAttribute('role', 'img');
+    this.canvas.setAttribute('aria-label', 'Stage: no robots yet');
     if (height) this.canvas.style.height = `${height}px`;
     this.note = h('div.note', { 'aria-live': 'polite' });
     this.standings = new Standings({
@@ -74,14 +78,15 @@ export class Player {
     this.element = h('div.stage', {}, this.canvas, this.tags.element, this.names, this.coming,
       this.note,      this.controls);
     try {
-      this.stage = new Stage(this.canvas, { theme: app.theme });
+      this.stage = ready ?? new Stage(this.canvas, { shadows: !isSoftware() });
+      this.stage.theme = app.theme;
     } catch (error) {
       fill(this.element, h('p.empty', { role: 'alert' }, error.message));
       this.stage = null;
       return;
     }
     if (isSoftware()) {
-      Object.assign(this.stage, { scale: 0.5, shadows: false });
+      this.stage.scale = 0.5;
       this.drawing.hidden = false;
     }
     // For tests, and for users of the console.

@@ -6,7 +6,9 @@
  */
 
 import { Camera } from './camera.js';
-import { Program, dataTexture, isSoftware, shadowTarget, vertexArray } from './gl.js';
+import {
+  Program, dataTexture, isSoftware, shadowTarget, stageCanvas, stageContext, vertexArray,
+} from './gl.js';
 import { frameLanes, lampOf, lanesIn, lanesOf } from './lanes.js';
 import {
   groundOf, heightAt, lookAt, multiply, normalize, orthographic, project, translated, unproject,
@@ -26,6 +28,8 @@ const LANE_GRID = [120, 10];
 /** Views lower than this, in pixels of the page, are small: the camera moves closer. */
 const SMALL_PX = 260;
 const TINY_PX = 130;
+/** Pixels of the shadow along each side. */
+const SHADOW_SIZE = 1024;
 /** Lower views have no shadow. */
 const SHADOW_PX = 60;
 /** While robots move, a picture draws this many of the views, in turn: fewer without a GPU. */
@@ -126,9 +130,8 @@ function groundMesh(gl, cells, rows = cells) {
 
 export class Stage {
   /** @param {HTMLCanvasElement} canvas */
-  constructor(canvas, { theme = 'dark' } = {}) {
-    const gl = canvas.getContext('webgl2',
-      { antialias: !isSoftware(), alpha: false, preserveDrawingBuffer: true });
+  constructor(canvas, { theme = 'dark', shadows = true } = {}) {
+    const gl = stageContext(canvas, !isSoftware());
     if (!gl) throw new Error('This browser does not support WebGL 2, which the stage needs.');
     this.canvas = canvas;
     this.gl = gl;
@@ -152,7 +155,7 @@ export class Stage {
     /** Index of the robot that the camera follows if all robots share one view. */
     this.followed = 0;
     this.scale = 1;
-    this.shadows = true;
+    this.shadows = shadows;
     this.timeS = 0;
     /** The views drawn last, of these robots, and which was the last one. */
     this.drawn = null;
@@ -179,20 +182,19 @@ export class Stage {
     this.programs = {
       terrain: new Program(gl, TERRAIN_SHADERS).prepare(),
       skin: new Program(gl, SKIN_SHADERS).prepare(),
-      depth: new Program(gl, DEPTH_SHADERS).prepare(),
+      depth: new Program(gl, DEPTH_SHADERS),
       springs: new Program(gl, SPRING_SHADERS),
       trail: new Program(gl, TRAIL_SHADERS).prepare(),
       contacts: new Program(gl, CONTACT_SHADERS),
       lamp: new Program(gl, LAMP_SHADERS).prepare(),
     };
+    if (this.shadows) this.programs.depth.prepare();
     gl.cullFace(gl.FRONT); // the corners of faces are in this order
-    this.ground = groundMesh(gl, GRID);
-    this.coarseGround = groundMesh(gl, COARSE_GRID);
-    this.tinyGround = groundMesh(gl, TINY_GRID);
-    this.laneGround = groundMesh(gl, ...LANE_GRID);
+    /** Meshes of the ground that were needed so far, by their cells. */
+    this.meshes = new Map();
     this.empty = gl.createVertexArray();
     gl.bindVertexArray(null);
-    this.shadow = shadowTarget(gl, 1024);
+    this.shadow = shadowTarget(gl, this.shadows ? SHADOW_SIZE : 1);
     this.noActuation = dataTexture(gl, gl.R8I, 1, 1, gl.RED_INTEGER, gl.BYTE, new Int8Array(1));
     this.noContacts = dataTexture(gl, gl.R8UI, 1, 1, gl.RED_INTEGER, gl.UNSIGNED_BYTE,
       new Uint8Array(1));
@@ -278,6 +280,11 @@ export class Stage {
         Float32Array.from(world.heights)));
     }
     return this.terrains.get(key);
+  }
+
+  #ground(cells, rows) {
+    if (!this.meshes.has(cells)) this.meshes.set(cells, groundMesh(this.gl, cells, rows));
+    return this.meshes.get(cells);
   }
 
   frameOf(robot) {
@@ -379,9 +386,9 @@ export class Stage {
     camera.distanceM = distanceM;
     const solid = this.solid();
     const isLaned = Boolean(lanes?.lane);
-    const ground = isLaned ? this.laneGround
-      : shown < (this.shadows ? TINY_PX : SMALL_PX) ? this.tinyGround
-        : shown < SMALL_PX || !this.shadows ? this.coarseGround : this.ground;
+    const ground = isLaned ? this.#ground(...LANE_GRID)
+      : this.#ground(shown < (this.shadows ? TINY_PX : SMALL_PX) ? TINY_GRID
+        : shown < SMALL_PX || !this.shadows ? COARSE_GRID : GRID);
     const sun = this.#sun(lead?.world ?? DEFAULT_WORLD);
     const isShaded = this.shadows && shown >= SHADOW_PX;
     const sunMatrix = this.#drawShadows(view, sun, lanes, solid, isShaded);
@@ -485,6 +492,7 @@ export class Stage {
     const sunMatrix = multiply(orthographic(reach, reach, 0.1, 12),
       lookAt(from, middle, [0, 0, 1]));
     if (!isShaded) return sunMatrix;
+    if (this.shadow.size < SHADOW_SIZE) this.shadow = shadowTarget(gl, SHADOW_SIZE);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.shadow.frame);
     gl.disable(gl.SCISSOR_TEST);
     gl.viewport(0, 0, this.shadow.size, this.shadow.size);
@@ -576,4 +584,19 @@ export class Stage {
     gl.depthMask(true);
     gl.disable(gl.BLEND);
   }
+}
+
+/** A stage that was made in advance. @type {?Stage} */
+let spare = null;
+
+/** Makes a stage in advance: its shaders compile while the rest of the page loads. */
+export function prepareStage() {
+  spare = new Stage(stageCanvas(), { shadows: !isSoftware() });
+}
+
+/** Returns that stage, once; null if there is none. */
+export function takeStage() {
+  const stage = spare;
+  spare = null;
+  return stage;
 }

@@ -78,7 +78,8 @@ export async function mount(main, path, parameters, app) {
       h('td', {}, linkTo(event, titles), h('div.muted', {}, nameOf(event))),
       h('td', {}, detailOf(event)),
       h('td.right.muted', {}, ago(event.at))] }))
-      : [{ key: 'none', cells: [h('td.empty', {}, 'Nothing has happened yet.')] }]);
+      : app.knowsRecent
+      ? [{ key: 'none', cells: [h('td.empty', {}, 'Nothing has happened yet.')] }] : []);
   }
 
   function showTiles(health, threads, devices) {
