@@ -1,5 +1,5 @@
-/** Starts to load the modules of the view in the address while those of the frame are still on their
- * way (index.html lists both) and, for views that always show robots, to compile the stage. */
+/** Starts to load the modules of the view in the address while those of the frame are on their way
+ * (index.html lists both) and, for views that always show robots, to compile the stage. */
 
 (() => {
   const [key] = location.hash.replace(/^#\/?/, '').split(/[/?]/);

@@ -93,13 +93,13 @@ export class Program {
 
 let software;
 /** A canvas that is ready to be drawn on in software, where making a context takes long. */
-let spare = null;
+let spareCanvas = null;
 
 /** Returns a canvas for a stage. */
 export function stageCanvas() {
   isSoftware();
-  const canvas = spare ?? document.createElement('canvas');
-  spare = null;
+  const canvas = spareCanvas ?? document.createElement('canvas');
+  spareCanvas = null;
   return canvas;
 }
 
@@ -116,7 +116,7 @@ export function isSoftware() {
     const about = gl?.getExtension('WEBGL_debug_renderer_info');
     const name = gl?.getParameter(about ? about.UNMASKED_RENDERER_WEBGL : gl.RENDERER) ?? '';
     software = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
-    if (software) spare = canvas;
+    if (software) spareCanvas = canvas;
     else gl?.getExtension('WEBGL_lose_context')?.loseContext();
   }
   return software;

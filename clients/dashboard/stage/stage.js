@@ -28,10 +28,8 @@ const LANE_GRID = [120, 10];
 /** Views lower than this, in pixels of the page, are small: the camera moves closer. */
 const SMALL_PX = 260;
 const TINY_PX = 130;
-/** Pixels of the shadow along each side. */
-const SHADOW_SIZE = 1024;
-/** Lower views have no shadow. */
-const SHADOW_PX = 60;
+/** Lower views have no shadow; the map of shadows has this many texels along each side. */
+const [SHADOW_PX, SHADOW_SIZE] = [60, 1024];
 /** While robots move, a picture draws this many of the views, in turn: fewer without a GPU. */
 const VIEWS_AT_ONCE = 64;
 const VIEWS_IN_SOFTWARE = 12;
@@ -587,16 +585,16 @@ export class Stage {
 }
 
 /** A stage that was made in advance. @type {?Stage} */
-let spare = null;
+let spareStage = null;
 
 /** Makes a stage in advance: its shaders compile while the rest of the page loads. */
 export function prepareStage() {
-  spare = new Stage(stageCanvas(), { shadows: !isSoftware() });
+  spareStage = new Stage(stageCanvas(), { shadows: !isSoftware() });
 }
 
-/** Returns that stage, once; null if there is none. */
+/** Returns that stage, once, or null. */
 export function takeStage() {
-  const stage = spare;
-  spare = null;
+  const stage = spareStage;
+  spareStage = null;
   return stage;
 }
