@@ -1,6 +1,8 @@
 """Budgets of the dashboard that do not depend on the speed of a machine. `tools/bench dashboard`
 measures the others."""
 
+import re
+
 import pytest
 
 from browser import SITE
@@ -27,6 +29,17 @@ def test_all_files_together_are_small(service):
         own = {name for name in sizes if any(part in name for part in names)}
         assert sum(sizes.pop(name) for name in own) <= budget, own
     assert sum(sizes.values()) <= 170e3, sizes
+
+
+def test_the_page_lists_the_modules_of_every_view(service):
+    """By the name in the address: early.js finds them there."""
+    text = service.request("GET", "/").body.decode()
+    listed = dict(re.findall(r'data-view="(\w+)" content="([^"]+)"', text))
+    app = (FOLDER / "app.js").read_text()
+    views = dict(re.findall(r"^  (\w+): \{.* module: '\./(views/\w+)\.js'", app, re.MULTILINE))
+    assert len(views) == app.count("module: './views/") and listed.keys() == views.keys()
+    for name, module in views.items():
+        assert module in listed[name].split()
 
 
 @pytest.mark.parametrize("view, shown, length", [
