@@ -144,7 +144,8 @@ static const struct mo_fields all_stored = MO_FIELDS(all_stored_rows);
 static void write_those(const struct mo_field *all, const bool *has, size_t n_all,
                         const void *record, struct mo_text *text)
 {
-  struct mo_field rows[N_STORED_ROWS > N_TRAINING_ROWS ? N_STORED_ROWS : N_TRAINING_ROWS];
+  struct mo_field
+      rows[(int)N_STORED_ROWS > (int)N_TRAINING_ROWS ? (int)N_STORED_ROWS : (int)N_TRAINING_ROWS];
   size_t n = 0;
   for (size_t i = 0; i < n_all; i++)
     if (has[i])
