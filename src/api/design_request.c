@@ -334,7 +334,7 @@ const struct mo_field_own mo_designs_field = {.read = read_designs};
 struct population {
   enum mo_job_kind kind;
   int64_t id;
-  uint32_t best; /* 0: all */
+  uint32_t best; /* 0: not given */
   unsigned sources;
   bool is_drawn; /* it has members of a sample other than its atlas */
 };
@@ -394,7 +394,8 @@ void mo_read_population(struct mo_json *json, uint32_t most, enum mo_job_kind *k
     check_population(json, depth, &population, sample);
   *kind = population.kind;
   *id = population.id;
-  *best = population.best;
+  if (population.best > 0)
+    *best = population.best;
 }
 
 /* ---- the rules ---- */

@@ -78,7 +78,7 @@ void mo_read_words(const char *text, size_t size, const struct mo_fields *fields
 void mo_read_ahead(const struct mo_json *json, const struct mo_fields *fields, void *parsed,
                    bool *given);
 bool mo_read_job_id(struct mo_json *json, const char *what /* "a job" */, int64_t *id);
-/* Reads another job's designs (best: 1 … most) or an atlas's; sample NULL: no atlas. */
+/* Reads another job's designs (*best: 1 … most; kept if absent) or an atlas's (if sample). */
 void mo_read_population(struct mo_json *json, uint32_t most, enum mo_job_kind *kind, int64_t *id,
                         uint32_t *best, struct mo_atlas_sample *sample);
 extern const struct mo_field_own mo_channels_field; /* of a recording: words, each once */
