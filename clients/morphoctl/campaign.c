@@ -350,7 +350,7 @@ const struct live_kind campaign_kind = {
     .noun = "campaign",
     .command = "campaign",
     .accepted =
-        "campaign {id} is accepted: {mode}, {settings.population:,} design{settings.population:s}, "
+        "campaign {id} accepted: {mode}, {settings.population:,} design{settings.population:s}, "
         "{settings.generations:,} generation{settings.generations:s}"
         "[{group.replicates>1:-}, with its replicates]",
     .ask_s = ASK_S,

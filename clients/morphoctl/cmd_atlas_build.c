@@ -7,7 +7,7 @@ void run_atlas_build(struct ctl *ctl)
 {
   const bool wait = option_is_set(ctl, "wait");
   if (!option_is_set(ctl, "voxels"))
-    fail(STATUS_USAGE, "--voxels N is required: the most voxels of a body, 1 to 10");
+    fail(STATUS_USAGE, "--voxels N is required: the largest number of voxels of a body, 1 to 10");
   json_t *request = keep(json_object());
   request_fill(ctl, request);
   request_fill_measures(ctl, request);

@@ -262,9 +262,9 @@ void run_fleet_verify(struct ctl *ctl)
   if (status == STATUS_OK || json_array_size(different) > 0)
     tell(ctl, whole,
          repairs ? "{checked:,} rollout{checked:s} computed again, {different:#} were replaced"
-                   "[; {skipped>0:,} are of a class that the server does not have]"
+                   "[; {skipped>0:,} belong to a class that the server does not have]"
                  : "{checked:,} rollout{checked:s} computed again, {different:#} differ"
-                   "[; {skipped>0:,} are of a class that the server does not have]");
+                   "[; {skipped>0:,} belong to a class that the server does not have]");
   if (status == STATUS_OK && json_array_size(different) > 0 && !repairs)
     status = STATUS_NEGATIVE;
   leave(status);

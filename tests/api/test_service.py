@@ -313,10 +313,10 @@ def test_slow_clients_are_cut_off(start):
 
 def test_what_is_missing_is_named(service):
     """By the name in the request, which is cut between two characters if it is long."""
-    job = "/v1/campaigns/88/designs/"
+    job = "/v1/campaigns/8888/designs/"
     long = "é" * 41
     for path, words in (
-            ("/v1/jobs/77", 'job "77".'), ("/v1/trainings/77/steps", 'training "77".'),
+            ("/v1/jobs/7777", 'job "7777".'), ("/v1/trainings/7777/steps", 'training "7777".'),
             ("/v1/jobs/x", 'job "x": an id'), ("/v1/controllers/walker", 'controller "walker".'),
             ("/v1/controllers/a%22b", 'controller "a"b".'),
             (f"/v1/controllers/{quote(long)}", f'controller "{long[:40]}…".'),
@@ -326,9 +326,9 @@ def test_what_is_missing_is_named(service):
             ("/v1/designs?sort=score&controller=walker", 'controller "walker".'),
             ("/v1/scores?controller=walker", 'controller "walker".'),
             ("/v1/environment-sets/moon", 'set of environments "moon".'),
-            ("/v1/bundles?campaigns=77", 'campaign "77".'),
-            ("/v1/campaigns/generations?campaigns=77", 'campaign "77".'),
-            ("/v1/events?job=77", 'job "77".'), (f"{job}1", 'campaign "88".'),
+            ("/v1/bundles?campaigns=7777", 'campaign "7777".'),
+            ("/v1/campaigns/generations?campaigns=7777", 'campaign "7777".'),
+            ("/v1/events?job=7777", 'job "7777".'), (f"{job}1", 'campaign "8888".'),
             ("/problems/none", 'type of problem "none".')):
         reply = service.request("GET", path)
         assert reply.status == 404, (path, reply.body)

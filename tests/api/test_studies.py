@@ -44,11 +44,15 @@ def rows_of(service, id):
 
 
 def history(service, id):
-    """Returns everything that a study holds, except times and the number of cached rollouts."""
-    paths = ("phylogeny?format=csv", "population", "phylogeny?format=newick")
+    """Returns everything that a study holds, except times, the number of cached rollouts and
+    certificates, which may come from other tests."""
     rows = [{name: row[name] for name in row if name not in ("seconds", "cached")}
             for row in service.pages(f"/v1/campaigns/{id}/generations")]
-    return rows, [service.request("GET", f"/v1/campaigns/{id}/{path}").body for path in paths]
+    designs = [service.pages(f"/v1/campaigns/{id}/{path}") for path in ("phylogeny", "population")]
+    for one in designs[0] + designs[1]:
+        del one["certificate"]
+    return rows, designs, service.request(
+        "GET", f"/v1/campaigns/{id}/phylogeny?format=newick").body
 
 
 def reopen(service, label, headers=None, **more):

@@ -199,8 +199,8 @@ def test_largest_piece():
         gone = int(body.sum() - own.sum())
         one = Body.of(body, "largest")
         assert (one.voxels == own).all()
-        assert one.lost == ((f"{gone} voxel{'s' * (gone > 1)} that did not belong to the largest "
-                             "piece", ) if gone else ())
+        many = "voxels that were" if gone > 1 else "voxel that was"
+        assert one.lost == ((f"{gone} {many} not part of the largest piece", ) if gone else ())
 
 
 def test_arrays_and_lists_are_one():

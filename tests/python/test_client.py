@@ -183,7 +183,7 @@ def test_repair_is_reported(m):
     assert '"repair": "largest" keep' in str(caught.value)
     assert caught.value.faults and re.fullmatch("[0-9a-f]{16}", caught.value.request_id)
     evaluation = m.evaluate([apart], physics=SHORT, repair="largest")
-    assert evaluation[0].lost == ("1 voxel that did not belong to the largest piece", )
+    assert evaluation[0].lost == ("1 voxel that was not part of the largest piece", )
     assert evaluation[0].genotype.count("1") == 2
 
 

@@ -60,7 +60,7 @@ export class AtlasCompare {
       if (turn !== this.turn) return;
       this.found = found;
       this.other = { name, inOther };
-      const lost = found.outside ? ` ${count(found.outside)} of them diverged in one.` : '';
+      const lost = found.outside ? ` ${count(found.outside)} of them diverged in one atlas.` : '';
       say(this.words, `${countOf(found.bodies, 'body is', 'bodies are')} in both.${lost} ` +
         tauWords(found.kendall_tau));
       fill(this.bests, [[page.about.best, ours, page.atlas.name, name],

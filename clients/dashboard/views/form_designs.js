@@ -39,7 +39,7 @@ export class LearnedOn {
       [['random', 'random bodies'], ['designs', 'these designs'],
         ['population', 'a population'], ['atlas', 'bodies of an atlas']].map(([value, text]) =>
         h('option', { value }, text)));
-    this.head = field('Bodies to learn on', this.choice);
+    this.head = field('Bodies to train on', this.choice);
     this.elements = [this.head, ...Object.values(this.parts).flat()];
     this.show(false);
   }

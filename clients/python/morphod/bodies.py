@@ -148,7 +148,8 @@ def dropped(voxels: int) -> tuple[str, ...]:
     """Returns what a repair adds to `lost`."""
     if voxels == 0:
         return ()
-    return (f"{counted(voxels, 'voxel')} that did not belong to the largest piece", )
+    were = "was" if voxels == 1 else "were"
+    return (f"{counted(voxels, 'voxel')} that {were} not part of the largest piece", )
 
 
 def genotypes_of(voxels: NDArray[np.bool_]) -> list[str]:

@@ -188,7 +188,7 @@ class AsyncClient(Scoring, Learning, Atlases, Certifying):
         if isinstance(initial, AsyncCampaign) and members[0].left_out:
             left_out = counted(len(members[0].left_out), "design")
             warnings.warn(f"campaign {initial.id} has {left_out} outside the workspace, left out "
-                          "here: random bodies take their places", stacklevel=2)
+                          "here: random bodies replace them", stacklevel=2)
         return AsyncCampaigns(self._connection, members)
 
     async def study(self, name: str, *, population: int | None = None,
