@@ -120,6 +120,7 @@ void run_scores_import(struct ctl *ctl)
   if (sending.at > 0) /* imported scores stay, no matter what followed */
     tell(ctl, sending.sum,
          "{new:,} rollout{new:s} [{new=1}is|are] new, {known:,} were known[, {different>0:,} are "
-         "stored with different bits and were left out], from store {source.store} on {source.host}");
+         "stored with different bits and were left out], from store {source.store} on "
+         "{source.host}");
   leave(status == STATUS_OK && number_of(sending.sum, "different") > 0 ? STATUS_NEGATIVE : status);
 }
