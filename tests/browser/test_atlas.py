@@ -526,7 +526,7 @@ def test_builds_are_shown(service, browser):
         browser.open("atlas/quick")
         browser.until("document.querySelector('.better-than')", 300)
         browser.until("document.title === 'Atlas quick · morphod'")
-        browser.until("/under the controller and physics of the atlas/"
+        browser.until("/with the controller and physics of the atlas/"
                       ".test(document.querySelector('.walk-words').innerText)", 300)
     assert browser.faults() == []
 

@@ -108,7 +108,7 @@ def test_a_refused_list_says_so(service, browser, job):
     browser.run(COUNTED % """(url) => (/search=refused/.test(url)
       ? new Response('{"detail": "Too many requests."}', { status: 503 }) : null)""")
     search(browser, "refused")
-    browser.until(f"/older: Too many requests/.test({STATUS}.innerText)", 30)
+    browser.until(f"/out of date: Too many requests/.test({STATUS}.innerText)", 30)
     search(browser, "copied")
     browser.until(f"{STATUS}.innerText === '1 run'")
     assert browser.faults() == []

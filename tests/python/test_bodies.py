@@ -75,7 +75,7 @@ def test_evogym_connections():
         joined.lost == ("material 3 became morphod's only material", ))
     apart = Body.evogym(robot, np.array([[0], [1]]))
     assert apart == joined and apart.lost[1:] == (
-        "1 pair of adjacent voxels that was not connected are now connected", )
+        "1 pair of adjacent voxels that was not connected is now connected", )
     assert Body.evogym(robot, np.empty((0, 2)).T).lost[1].startswith("2 pairs of adjacent voxels")
     assert Body.evogym(np.array([[1, 0, 1]]), repair="largest").lost == (
         "material 1 became morphod's only material",

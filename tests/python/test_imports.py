@@ -109,7 +109,7 @@ def test_evogym_voxels_that_are_apart(tmp_path):
     file = tmp_path / "world.json"
     file.write_text(world(robot=([41, 42, 61], [3, 3, 3], {"41": [61], "61": [41]})))
     assert read_bodies(file)[0].lost[1:] == (
-        "1 pair of adjacent voxels that was not connected are now connected", )
+        "1 pair of adjacent voxels that was not connected is now connected", )
     file.write_text(world(robot=([41, 42], [3, 3], {"41": [42], "42": [41]})))
     assert len(read_bodies(file)[0].lost) == 1
 
@@ -121,7 +121,7 @@ def test_evogym_robots_of_numpy(tmp_path):
     robot, = read_bodies(tmp_path / "robot.npz")
     assert robot == Body.evogym(body) and robot.lost == ("materials 3, 4 were merged into one", )
     np.savez(tmp_path / "apart.npz", body, connections[:, :1])
-    assert "not connected are now connected" in read_bodies(tmp_path / "apart.npz")[0].lost[1]
+    assert "not connected is now connected" in read_bodies(tmp_path / "apart.npz")[0].lost[1]
     np.savez(tmp_path / "high.npz", np.full((5, 5), 3.0), np.empty((2, 0)))
     with pytest.raises(BodyError, match="5 voxels high .axis 0 of the array.; the workspace has 4"):
         read_bodies(tmp_path / "high.npz")

@@ -44,7 +44,7 @@ async function show() {
     const [robot] = robotsOf(decodeScene(await load(file, 'arrayBuffer')));
     return { robot, words: 'Recorded in the first of ' +
       `${countOf(about.environments.length, 'environment')}, ` +
-      `as the canonical form stands, under the controller of the atlas and its physics, ` +
+      `in its canonical orientation, with the controller and physics of the atlas, ` +
       `${about.physics.slice(0, 8)}: loss ${score(robot.loss)}` };
   });
   const theme = button('', () => setTheme(app.theme === 'dark' ? 'light' : 'dark'));

@@ -38,7 +38,7 @@ export async function mount(main, [name], parameters, app) {
       { controller: `sha256:${about.controller}`, physics, precision, signal });
     return { robot, words: 'As drawn, in the first of ' +
       `${countOf(about.environments.length, 'environment')}, ` +
-      `under the controller ${physics ? 'and physics of the atlas' : 'of the atlas, but with ' +
+      `with the controller ${physics ? 'and physics of the atlas' : 'of the atlas, but with ' +
         'default physics, because this service does not know those of the atlas'}` +
       `: loss ${score(robot.loss)}` };
   });

@@ -95,8 +95,9 @@ def _touching(rows: NDArray[Any]) -> set[frozenset[int]]:
 def _apart(n: int) -> tuple[str, ...]:
     if n == 0:
         return ()
-    return (f"{counted(n, 'pair')} of adjacent voxels that {'was' if n == 1 else 'were'} not "
-            "connected became connected",)
+    was, is_now = ("was", "is") if n == 1 else ("were", "are")
+    return (f"{counted(n, 'pair')} of adjacent voxels that {was} not connected {is_now} now "
+            "connected",)
 
 
 # ---- worlds: voxels by index in a grid; its rows go upward ----
