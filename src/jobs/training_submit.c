@@ -62,7 +62,7 @@ static int load_sample(struct mo_jobs *jobs, struct mo_training_record *record,
   return error;
 }
 
-/* The steps of all designs are numbered through. */
+/* The steps of all designs are numbered consecutively. */
 static int check_each(const struct mo_training_record *record, struct mo_message *message)
 {
   const uint64_t steps = (uint64_t)record->n_designs * record->settings.n_steps;

@@ -1,7 +1,7 @@
 /* atlas_sample.h: bodies drawn from an atlas, one from each of equally large parts of its ranking.
  *
  * The bodies with a finite score are ranked, best first, with ties in the order of positions.
- * Stratum i of `count` has the places floor(i · bodies / count) up to, but without,
+ * Stratum i of `count` has the places floor(i · bodies / count) up to but not including
  * floor((i + 1) · bodies / count); one of them is drawn, all equally likely, with the seed. So the
  * places follow from the numbers of the sample alone, also when the atlas no longer exists. */
 #ifndef MORPHO_STORE_ATLAS_SAMPLE_H

@@ -31,8 +31,9 @@ struct mo_training_record {
   int64_t population; /* finetune: the job whose designs are used; 0: listed in the request, or */
   struct mo_atlas_sample sample; /* drawn from an atlas */
   /* finetune: each design learns alone, one after the other, from the same controller and with the
-   * same seed. Steps are then numbered through: step s of design i is i · settings.n_steps + s. Of
-   * the controllers, all or those of the keep_best best designs are kept. */
+   * same seed. Steps are then numbered consecutively: step s of design i is
+   * i · settings.n_steps + s. Of the controllers, all or those of the keep_best best designs are
+   * kept. */
   bool each;
   int keep; /* enum mo_keep */
   uint32_t keep_best;

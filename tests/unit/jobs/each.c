@@ -105,7 +105,7 @@ SERVICE_CASE(learns_as_alone, 1)
   CHECK(mo_sha256_equal(&plain, &expected[2].controller_sha256));
   for (uint32_t i = 0; i < N; i++)
     CHECK(is_stored(id, i, &expected[i]));
-  /* Pages; steps are numbered through; the checkpoints are gone. */
+  /* Pages; steps are numbered consecutively; the checkpoints are gone. */
   CHECK_INT(mo_store_training_bodies(store, id, 2, rows, 2), 2);
   CHECK(rows[0].position == 3 && rows[0].is_kept &&
         memcmp(&rows[0].genotype, &genotypes[3], sizeof(rows[0].genotype)) == 0);
