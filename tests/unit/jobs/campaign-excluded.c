@@ -212,7 +212,7 @@ SERVICE_CASE(reports_long_lineages, 1)
   short_one.step = "1";
   put_long(17, &short_one, &short_one);
   CHECK_INT(submit_campaign(&request), MO_ERR_LIMIT);
-  CHECK_SAYS(fixture.message, "16 pretrainings");
+  CHECK_SAYS(fixture.message, "16 pretraining runs");
 }
 
 /* Readable entries count even if a descendant or an ancestor is unreadable. */
