@@ -21,7 +21,7 @@ enum mo_route_flag {
   MO_ROUTE_OPEN = 1,     /* needs no token */
   MO_ROUTE_DIRECT = 2,   /* answered without an API thread */
   MO_ROUTE_HEALTH = 4,   /* also answered on the connections reserved for health requests */
-  MO_ROUTE_LIST = 8,     /* returns many items; LIST, HEAVY and ROLLOUT have their own threads */
+  MO_ROUTE_LIST = 8,     /* returns or reads much; LIST, HEAVY and ROLLOUT have their own threads */
   MO_ROUTE_RATED = 16,   /* accepts work or data; limited by client_rate_per_s */
   MO_ROUTE_VARY = 32,    /* the form of the reply depends on Accept */
   MO_ROUTE_JSON = 64,    /* the reply is JSON; an Accept that excludes it gets 406 */

@@ -1,12 +1,14 @@
 """Finetunings of bodies that are drawn from the whole ranking of an atlas."""
 
 import hashlib
+import json
+import select
 
 import pytest
 
 from atlases import INFINITY, Plain, file_of
 from ctl import ctl  # noqa: F401
-from service import await_end, run
+from service import await_end, run, until
 
 FROZEN = [4, 17, 48, 55, 68, 87, 111]  # places of the seed 1
 FILE = {"Content-Type": "application/octet-stream"}
@@ -208,3 +210,25 @@ def test_morphoctl(service, plain, ctl):  # noqa: F811
     assert ctl("train start pretrain --atlas sampled --count 3")[0] == 2
     code, _, said = ctl(f"{start} --atlas sampled --count 200")
     assert code != 0 and "number of bodies" in said
+
+
+def test_draws_delay_no_other_request(start):
+    """A draw reads and ranks all bodies, so it has the threads of lists, not those of the rest."""
+    service = start()
+    put(service, "large", file_of(voxels=9))
+    job = service.post("/v1/trainings", sampled(2, name="large"))["id"]
+    # They are refused, but only after the draw.
+    refused = json.dumps(sampled(2, name="large", steps=1_000_000, each=True)).encode()
+    drawing = [service.connection() for _ in range(32)]
+    for connection in drawing:
+        connection.connect()
+    for connection in drawing:
+        connection.request("POST", "/v1/trainings", refused, {"Content-Type": "application/json"})
+    until(lambda: service.metric("morphod_http_requests_queued") >= 16)
+    service.get(f"/v1/jobs/{job}")
+    done = select.select([connection.sock for connection in drawing], [], [], 0)[0]
+    assert len(done) < 26  # it did not wait for those that were queued
+    for connection in drawing:
+        reply = connection.getresponse()
+        assert reply.status == 422 and b"steps in all" in reply.read()
+        connection.close()
