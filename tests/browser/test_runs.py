@@ -1,6 +1,7 @@
 """The table of runs, and what the pages of all kinds of runs share: tabs, settings, start again."""
 
 import functools
+import hashlib
 
 import pytest
 
@@ -415,7 +416,7 @@ def test_an_evaluation_and_a_training_start_again(service, browser):
 
 
 def test_bodies_of_an_atlas_start_again(service, browser):
-    """From the same file, or not at all."""
+    """From the same file, unless its hash is removed."""
     put = functools.partial(service.request, "PUT", "/v1/atlases/drawn/file",
                             headers={"Content-Type": "application/octet-stream"})
     assert put(body=atlases.file_of()).status == 201
@@ -434,6 +435,13 @@ def test_bodies_of_an_atlas_start_again(service, browser):
     again(browser, f"trainings/{id}")
     browser.click("Start", "dialog button")
     browser.until("document.querySelector('dialog .error').innerText.includes('another file')")
+    # The refusal says to leave the hash out.
+    browser.run("document.querySelector('dialog form').elements['atlas-sha256'].value = ''")
+    start(browser, "trainings", id)
+    third = newest(service, "trainings")
+    service.act(third["id"], "cancel")
+    digest = hashlib.sha256(atlases.file_of(seed=2)).hexdigest()
+    assert third["settings"]["population"] == first["settings"]["population"] | {"sha256": digest}
     assert service.request("DELETE", "/v1/atlases/drawn").status == 204
 
 

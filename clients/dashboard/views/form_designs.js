@@ -23,8 +23,7 @@ export class LearnedOn {
     this.count = number('count', 500, 10000);
     this.seed = number('atlas-seed', 1, null);
     this.seed.min = '0';
-    /** The atlas of the job that is repeated, and the hash of its file. */
-    this.drawn = { atlas: '', sha256: '' };
+    this.sha256 = h('input', { name: 'atlas-sha256', placeholder: 'any file' });
     const field = (name, input, kind = '') =>
       h(`label.field${kind}`, {}, h('span', {}, name), input);
     this.parts = {
@@ -33,7 +32,7 @@ export class LearnedOn {
       population: [field('Number of the campaign or evaluation', this.job),
         field('Only the best', this.best)],
       atlas: [field('Atlas', this.atlas), field('Bodies of its whole ranking', this.count),
-        field('Seed of the draw', this.seed)],
+        field('Seed of the draw', this.seed), field('Only if its file has the hash', this.sha256)],
     };
     this.choice = h('select', { name: 'learn-on', onchange: () => this.show(true) },
       [['random', 'random bodies'], ['designs', 'these designs'],
@@ -51,7 +50,7 @@ export class LearnedOn {
       Object.assign(this.atlas, { value: atlas });
       Object.assign(this.count, { value: count });
       Object.assign(this.seed, { value: seed });
-      this.drawn = { atlas, sha256 };
+      Object.assign(this.sha256, { value: sha256 });
       return;
     }
     this.job.value = job;
@@ -92,9 +91,9 @@ export class LearnedOn {
     }
     if (this.choice.value === 'atlas') {
       const atlas = this.atlas.value;
-      const { sha256 } = this.drawn;
+      const sha256 = this.sha256.value.trim();
       return { population: { atlas, count: Number(this.count.value), seed: Number(this.seed.value),
-        ...(atlas === this.drawn.atlas ? { sha256 } : {}) } };
+        ...(sha256 ? { sha256 } : {}) } };
     }
     const { kind } = await getJson(`v1/jobs/${Number(this.job.value)}`);
     if (!['campaign', 'evaluation'].includes(kind)) {
