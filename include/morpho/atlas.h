@@ -74,8 +74,8 @@ struct mo_atlas_source {
   enum mo_atlas_orientations orientations;
   uint8_t controller_sha256[32];
   uint8_t physics_sha256[32];
-  uint32_t measures; /* that bodies have besides their losses: bit k for measure k; 0: none, and the
-                        file is of version 1 */
+  uint32_t measures; /* stored besides the losses: bit k for measure k; 0: none, and the file has
+                        version 1 */
   char fingerprint[MO_ATLAS_FINGERPRINT]; /* of the code that computed the losses: printable ASCII;
                                              "": unknown */
 };
@@ -96,16 +96,17 @@ void mo_atlas_writer_free(struct mo_atlas_writer *writer);
 uint64_t mo_atlas_writer_position(const struct mo_atlas_writer *writer); /* the next body */
 uint64_t mo_atlas_writer_bodies(const struct mo_atlas_writer *writer);   /* in all */
 /* Adds the next body. form: to check that it is this one (MO_ERR_CONFLICT: nothing was added).
- * losses: (n environments), with `images` the means over the images; finite or +infinity
+ * losses: (n environments), with `images`, the means over the images; finite or +infinity
  * (MO_ERR_INVALID: nothing was added). measures: those of the source, in the order of enum
  * mo_measure, as means over the environments; finite as float32, or NaN without a value
  * (MO_ERR_INVALID); not read if the source has none. MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: nothing was
  * added; try again later. After MO_ERR_IO, free the writer; a new one continues. */
 int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses,
                         const double *measures);
-/* Makes all added bodies durable, which otherwise happens block by block. It replaces what was
- * saved of the last block: if it is torn, or MO_ERR_NO_SPACE, that is lost in the file.
- * MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: try again. MO_ERR_IO: as for mo_atlas_writer_add. */
+/* Makes all added bodies durable, which otherwise happens block by block. It overwrites the saved
+ * part of the last block: if the write is torn, or fails with MO_ERR_NO_SPACE, that part is lost
+ * from the file. MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: try again. MO_ERR_IO: as for
+ * mo_atlas_writer_add. */
 int mo_atlas_writer_save(struct mo_atlas_writer *writer);
 /* Completes the file durably. MO_ERR_INVALID: bodies are missing; MO_ERR_CONFLICT: PATH now exists,
  * and was not touched; remove it and call again. Otherwise as for mo_atlas_writer_add: after such
@@ -141,16 +142,16 @@ void mo_atlas_losses(const struct mo_atlas *atlas, uint64_t position, float *los
 /* Returns the mean of a measure over the environments: that of float64, rounded to float32. NaN: a
  * rollout has no value, for example because it diverged, or the file does not have the measure. */
 float mo_atlas_measure(const struct mo_atlas *atlas, uint64_t position, enum mo_measure measure);
-/* Returns of how many of the other bodies of the same size the measure is lower, and half of those
- * with an equal one, in percent of those with a value; 100 if there are no others, NaN if the body
- * has no value. Reads the measure of all bodies of the size: of 899,126, in 0.2 ms. */
+/* Returns the percentage of the other bodies of the same size with a lower measure, among those
+ * with a value; equal ones count half. 100 if there are no others, NaN if the body has no value.
+ * Reads the measure of every body of that size: 0.2 ms for 899,126 bodies. */
 double mo_atlas_measure_percentile(const struct mo_atlas *atlas, uint64_t position,
                                    enum mo_measure measure);
 
 /* ---- neighbors ---- */
 
-/* Bodies that differ by one voxel. A moved voxel is taken from a body that stays in one piece, and
- * added elsewhere. */
+/* Bodies that differ by one voxel. A move takes a voxel from a body that stays in one piece without
+ * it, and adds it elsewhere. */
 enum mo_atlas_step { MO_ATLAS_ADD = 1, MO_ATLAS_REMOVE = 2, MO_ATLAS_MOVE = 4 };
 #define MO_ATLAS_GROW_SHRINK   (MO_ATLAS_ADD | MO_ATLAS_REMOVE)
 #define MO_ATLAS_NEIGHBORS_MAX 512
@@ -181,8 +182,8 @@ uint64_t mo_atlas_ascend(const struct mo_atlas *atlas, uint64_t position, unsign
  * bytes of memory per body. Const after it is made; does not outlive the atlas. */
 struct mo_atlas_index;
 int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **index);
-/* The same by a measure of the file, the lowest first, or by its negative value, so that the
- * highest is first: all functions of an index then use it instead of the score. Bodies without a
+/* The same, sorted by a measure in the file, lowest first, or by its negative value, so that the
+ * highest comes first: all functions of an index then use it instead of the score. Bodies without a
  * value come last, are in no bin of a histogram, and must not be ranked. MO_ERR_NOT_FOUND: the file
  * does not have the measure; MO_ERR_NO_MEMORY. */
 int mo_atlas_index_create_by(const struct mo_atlas *atlas, enum mo_measure measure,
@@ -228,7 +229,7 @@ struct mo_atlas_basins;
 int mo_atlas_basins_create(const struct mo_atlas *atlas, const struct mo_atlas_index *index,
                            const volatile int *cancel, struct mo_atlas_basins **basins);
 void mo_atlas_basins_free(struct mo_atlas_basins *basins);      /* NULL-safe */
-uint64_t mo_atlas_optima(const struct mo_atlas_basins *basins); /* local optima in all */
+uint64_t mo_atlas_optima(const struct mo_atlas_basins *basins); /* total number of local optima */
 /* Returns the local optimum that a body's ascent ends at. */
 uint64_t mo_atlas_optimum_of(const struct mo_atlas_basins *basins, uint64_t position);
 /* Returns the number of bodies whose ascent ends at this one, including itself; 0: no local

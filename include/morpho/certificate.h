@@ -92,7 +92,7 @@ struct mo_certificate_base {
   const char *set; /* the word of mo_set_words if the environments are that set, unchanged; or
                       NULL */
 };
-/* Lists the trials of a certificate, in order of axes and levels; the base is the first. Leaves out
+/* Lists the trials of a certificate, ordered by axis and level; the base is the first. Leaves out
  * axes and levels that do not apply (mo_certificate_omits, mo_certificate_note). The settings have
  * been checked. *trials: (n) malloc, owned by the caller. MO_ERR_NO_MEMORY. */
 int mo_certificate_trials(const struct mo_certificate_settings *settings,
@@ -127,7 +127,7 @@ bool mo_certificate_note(const struct mo_certificate_settings *settings,
 /* ---- figures ----
  *
  * Sums are pairwise, in the order of worlds and designs, and no function of libm but sqrt is used,
- * so that equal losses have equal figures on all machines. */
+ * so that equal losses give equal figures on all machines. */
 
 /* A 95 % confidence interval; NaN, NaN: unknown. */
 struct mo_interval {
@@ -168,8 +168,8 @@ struct mo_trial_list {
    * used is the one with a single exception. */
   struct mo_interval of_tau;
   /* Of the base's top designs (mo_certificate_top): their mean score here, and how far it is above
-   * the mean score of equally many designs that are the best here. NaN: one of them diverged here.
-   * The base's regret is NaN. */
+   * the mean score of the same number of designs that are best here. NaN: one of them diverged
+   * here. The base's regret is NaN. */
   double top_score, regret;
 };
 #define MO_TAU_DESIGNS_MIN 4
@@ -213,7 +213,7 @@ void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
                             const struct mo_trial_score *scores, uint32_t n_designs,
                             uint32_t design, uint32_t flags, char text[MO_VERDICT_MAX]);
 
-/* A verdict in brief: the first of these that holds of a design. */
+/* A verdict in brief: the first of these that holds for a design. */
 enum mo_verdict_class {
   MO_CLASS_NO_SCORE = 0, /* it diverges at the base */
   MO_CLASS_IN_DOUBT = 1, /* its rank is not roughly kept on the finest steps (or in float64, without
@@ -226,7 +226,7 @@ struct mo_verdict {
   enum mo_verdict_class class;
   uint32_t worse; /* as bits 1 << enum mo_axis: axes with a level at which it is worse, or diverges;
                      without the base, precision, step and chance */
-  uint32_t finest; /* the trial with the smallest error of numerics; 0: none */
+  uint32_t finest; /* the trial with the smallest numerical error; 0: none */
   bool is_kept;    /* its rank, or the score of a design alone, is roughly kept there */
 };
 struct mo_verdict mo_certificate_brief(const struct mo_trial *trials, uint32_t n_trials,

@@ -88,9 +88,9 @@ struct mo_compute_stats {
   size_t worker_bytes_max; /* largest scratch of one worker */
 };
 
-/* What computing with a controller has taken since the start, for one kind of work. The first
- * members identify the kind. Work that failed, was cancelled or ran in other processes does not
- * count; nor do rollouts with recordings, measures or states, which take longer. */
+/* Time spent computing with a controller since the start, for one kind of work. The first members
+ * identify the kind. Work that failed, was cancelled or ran in other processes does not count; nor
+ * do rollouts with recordings, measures or states, which take longer. */
 struct mo_rate {
   bool is_gradient; /* rollouts with their gradients */
   enum mo_back_end back_end;
@@ -332,7 +332,7 @@ struct mo_device_status {
   enum mo_device_state state;
   char error[256]; /* why it was lost */
   bool is_busy;
-  double load;   /* share of roughly the last ten seconds that it was busy */
+  double load;   /* fraction of roughly the last ten seconds that it was busy */
   double busy_s; /* since the start */
   uint64_t rollouts_done, gradient_robots_done, calls;
   uint32_t rows_at_once; /* largest number of rollouts in one call; lowered if memory runs out */

@@ -52,7 +52,7 @@ struct mo_mode {
   bool makes_children;    /* by variation; otherwise a client supplies them, and decides when the
                              campaign ends */
   bool learns;            /* in each generation; parents are scored again */
-  bool inherits_learning; /* a generation continues the training of the previous one */
+  bool inherits_learning; /* a generation continues the training run of the previous one */
   bool starts_untrained;  /* true: random weights if no controller is given; false: a controller is
                              required */
   /* Of its presets: */
@@ -170,7 +170,7 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
 int mo_campaign_settings_check(const struct mo_campaign_settings *settings,
                                struct mo_message *message);
 
-/* Returns the settings of the training of one generation (few-shot) or of the whole campaign
+/* Returns the settings of the training run of one generation (few-shot) or of the whole campaign
  * (simultaneous). Few-shot: n_steps = parent + child steps; the seed, below 2^53, is drawn from
  * (seed, EVOLUTION_SEED, generation). Simultaneous: n_steps = child steps + (parent + child steps)
  * · generations; the seed is the campaign's. Generation 0 has no parents: it takes only the child
@@ -196,10 +196,10 @@ int mo_seen_add(struct mo_seen *seen,
 int mo_seen_take(void *seen, const struct mo_genotype *genotype);
 uint64_t mo_seen_count(const struct mo_seen *seen); /* forms added by mo_seen_add, mo_seen_take */
 
-/* Adds to `set` (of `workspace`) the forms of the first n_bodies that a pretraining of `seed`
+/* Adds to `set` (of `workspace`) the forms of the first n_bodies that a pretraining run with `seed`
  * learned from and that fit `workspace`. The bodies are those of mo_training_draw, without held-out
  * forms; cancel and done (bodies so far) are nullable, as there. 3.5 µs per body on one thread.
- * Memory: only `set` if it is empty and of the default workspace, else also a set of n_bodies
+ * Memory: only `set` if it is empty and for the default workspace, else also a set of n_bodies
  * forms; and up to 3 MiB per thread. The set is the same for any number of threads (0 counts as 1;
  * the calling thread is one of them), which stop at the end of the call. MO_ERR_CANCELLED,
  * MO_ERR_NO_MEMORY, MO_ERR_EXHAUSTED: `set` may hold some of the forms. */
@@ -309,7 +309,7 @@ struct mo_race {
 void mo_race_plan(const struct mo_campaign_settings *settings, const double *losses,
                   const double *scores, uint32_t n_parents, uint32_t n_environments, bool pays,
                   struct mo_race *race);
-/* Returns the time, in rollouts, that a race saves with a child that was cut short or has all its
+/* Returns the time, in rollouts, that a race saves on a child that was cut short or has all its
  * losses; negative if it costs time. A loss that was not computed is NaN: stored losses may cut a
  * child before a wave. */
 int mo_race_saved(const struct mo_race *race, const double *losses, bool on_device);

@@ -40,7 +40,7 @@ extern "C" {
 enum mo_schedule_kind {
   MO_SCHEDULE_RESTARTS =
       0, /* cosine annealing with warm restarts: from peak · decay^c down to floor in cycle c */
-  MO_SCHEDULE_COSINE = 1, /* one cosine from peak to floor over all steps of the training */
+  MO_SCHEDULE_COSINE = 1, /* one cosine from peak to floor over all steps of the training run */
   MO_SCHEDULE_CONSTANT = 2
 };
 extern const char *const mo_schedule_words[]; /* "restarts", "cosine", "constant", NULL */
@@ -84,8 +84,8 @@ struct mo_learning {
   double norm_limit;                   /* limit of the batch gradient's global L2 norm; 1; 0: off */
   struct mo_gradient_options gradient; /* the defaults; weight 0: the mean over the batch */
   struct mo_factor_ranges vary; /* the world of each robot of a step gets a variation from here
-                                   (mo_variations_draw with the training's seed and the step);
-                                   worlds of validations do not. Default: nothing varies */
+                                   (mo_variations_draw with the run's seed and the step); worlds of
+                                   validations do not. Default: nothing varies */
 };
 
 /* The defaults above, with a schedule. */
@@ -149,8 +149,8 @@ int mo_held_out_form(const uint64_t *form);
  * designs: (n, MO_DEFAULT_WORDS) placed genotypes of the default workspace. About 0.1 ms each.
  * MO_ERR_NO_MEMORY; MO_ERR_RANGE: n > MO_TRAINING_DESIGNS_MAX. */
 int mo_held_out_designs(uint64_t seed, uint32_t n, uint64_t *designs);
-/* Fills in mo_environment_held_out of this seed, 0 … n − 1: the training distribution under keys
- * that no training uses. */
+/* Fills in mo_environment_held_out for this seed, 0 … n − 1: the training distribution under keys
+ * that no training run uses. */
 void mo_held_out_environments(uint64_t seed, uint32_t n, struct mo_environment *environments);
 /* The same with tasks, in turn: environment i has that of tasks[i mod n_tasks], and its light if
  * the task moves the light. n_tasks 0: none. */
@@ -189,19 +189,19 @@ int mo_training_set_environments(struct mo_training *training,
  * their lights if the task moves the light. */
 int mo_training_set_tasks(struct mo_training *training, const struct mo_environment *tasks,
                           uint32_t n);
-/* Returns the training's own environments, or its tasks: (*n), borrowed; NULL, 0: none. */
+/* Returns the run's own environments, or its tasks: (*n), borrowed; NULL, 0: none. */
 const struct mo_environment *mo_training_environments(const struct mo_training *training,
                                                       uint32_t *n);
 
 /* Draws the robots of the current step: (batch), borrowed until the next draw or apply. Robot i of
- * step t has mo_environment_training(seed, t, i), or one of the training's own. A restored
- * pretraining run first replays its stream: a non-zero `cancel` (nullable) stops that with
- * MO_ERR_CANCELLED; `replayed` (nullable) counts the bodies redrawn so far, out of step × batch.
- * Drawing twice returns the same robots; after an error, the next call continues where the failed
- * call stopped. Memory: the bodies of the step (for finetuning, of all its designs), up to 25 kB
- * each. MO_ERR_EXHAUSTED: no new bodies are left; MO_ERR_CORRUPT: the replay needed a different
- * number of draws (the checkpoint is from different code); MO_ERR_CONFLICT: the training is
- * finished; MO_ERR_NO_MEMORY. */
+ * step t has mo_environment_training(seed, t, i), or one of the run's own. A restored pretraining
+ * run first replays its stream: a non-zero `cancel` (nullable) stops that with MO_ERR_CANCELLED;
+ * `replayed` (nullable) counts the bodies redrawn so far, out of step × batch. Drawing twice
+ * returns the same robots; after an error, the next call continues where the failed call stopped.
+ * Memory: the bodies of the step (for finetuning, of all its designs), up to 25 kB each.
+ * MO_ERR_EXHAUSTED: no new bodies are left; MO_ERR_CORRUPT: the replay needed a different number of
+ * draws (the checkpoint is from different code); MO_ERR_CONFLICT: the run is finished;
+ * MO_ERR_NO_MEMORY. */
 int mo_training_draw(struct mo_training *training, const volatile int *cancel,
                      volatile uint64_t *replayed, const struct mo_robot **robots);
 
@@ -244,14 +244,14 @@ struct mo_training_report {
 /* Applies the gradient (n_parameters) of the mean loss of the robots last drawn: advances weights,
  * moments and counters by one step; a skipped step counts as a step. outcomes: (batch), in the
  * order of the robots. counts: of this step only. report nullable. MO_ERR_CONFLICT: nothing was
- * drawn, or the training is finished. */
+ * drawn, or the run is finished. */
 int mo_training_apply(struct mo_training *training, const double *d_parameters,
                       const struct mo_outcome *outcomes, const struct mo_gradient_counts *counts,
                       struct mo_training_report *report);
 
 /* ---- checkpoints ---- */
 
-/* Encodes everything that the rest of the training depends on (malloc): settings, step, weights,
+/* Encodes everything that the rest of the run depends on (malloc): settings, step, weights,
  * moments, counters, designs, environments. Equal states encode to equal bytes, whether or not a
  * step has been drawn. The checksum detects any change within 8 consecutive bytes. Size: 12.4 MB
  * and 24 bytes per design, and at most 80 kB of environments. MO_ERR_NO_MEMORY. */
@@ -262,8 +262,8 @@ int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size
 int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **training,
                        struct mo_message *message);
 
-/* The code that computed a training's gradients, starting with a step. Their bits depend on it and
- * on the inputs. */
+/* The code that computed a training run's gradients, starting with a step. Their bits depend on it
+ * and on the inputs. */
 #define MO_FINGERPRINT_BYTES 64
 #define MO_LINEAGE_MAX       32
 struct mo_training_code {

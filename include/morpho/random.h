@@ -34,7 +34,7 @@ enum mo_purpose {
   MO_PURPOSE_AUDIT = 15,          /* selects the leases that are computed twice */
   MO_PURPOSE_PROFILE = 16,        /* terrain profiles of random families; step: the family */
   MO_PURPOSE_SUITE = 17,          /* worlds of morpho-12; step: the task */
-  MO_PURPOSE_TRAINING_WORLD = 18, /* which of its own environments a robot of a training gets */
+  MO_PURPOSE_TRAINING_WORLD = 18, /* which of its own environments a robot in a training run gets */
   MO_PURPOSE_FACTORS = 19,        /* factors of environments; index: the number of the factor, or
                                      after these 6: drop, 7: slope, 8: direction of the slope */
   MO_PURPOSE_RE_EVALUATION = 20, /* seeds of the fresh worlds of a campaign; step: the generation */

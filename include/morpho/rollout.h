@@ -75,7 +75,7 @@ struct mo_physics {
   struct mo_constants constants;
   double drop_height_m; /* 0: extra lift of the body at the start, plus the environment's drop_m */
 };
-/* The settings of requests that do not specify others: `split`, 2000 steps of 2 ms.
+/* The settings for requests that do not specify any: `split`, 2000 steps of 2 ms.
  * docs/performance.md compares their time and error with the paper's. */
 #define MO_DEFAULT_CONTROL_PERIOD_S 0.016 /* of controllers that start from random weights */
 struct mo_physics mo_default_physics(void);

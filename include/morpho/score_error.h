@@ -1,8 +1,8 @@
-/* score_error.h: how far a score may be from its limit of small steps.
+/* score_error.h: how far a score may be from its limit for small steps.
  *
  * A controller with held outputs makes the motion well defined as the step goes to 0, so a score
  * has a limit. Two sources of error separate the score from it, and a few more rollouts in the same
- * environments measure both. The error of the step is measured by rollouts with half of the step,
+ * environments measure both. The step error is measured by rollouts with half the step,
  * extrapolated by the integrator's order. Rounding is measured by rollouts that start a little
  * higher. Contact amplifies small differences, so in some environments such a rollout ends
  * elsewhere (it bifurcates); rounding has the same effect. docs/performance.md has the measurements

@@ -4,8 +4,8 @@
  * duration and control period; starting with rung MO_LADDER_FLOAT64, numbers are float64. A design
  * climbs until its estimated error (score_error.h), the half-width of its interval, is at most the
  * tolerance. The rollouts of a rung are the runs of score_error.h with its settings. Because of
- * that, the run with half of the step is also the first run of the next rung, if the precision is
- * the same. */
+ * that, the run with half the step is also the first run of the next rung, if the precision is the
+ * same. */
 #ifndef MORPHO_SCORE_LADDER_H
 #define MORPHO_SCORE_LADDER_H
 

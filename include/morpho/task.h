@@ -1,5 +1,5 @@
 /* task.h: what a robot is asked to do in an environment: a guide moves the light that the robot
- * follows, an objective measures the rollout. docs/model.md has the equations.
+ * follows, and an objective measures the rollout. docs/model.md has the equations.
  *
  * The light is placed at the start of every control period, when the controller senses it, from the
  * body's center of mass at that moment, and stands there until the next period. It always stands on
@@ -63,7 +63,7 @@ enum mo_objective {
   MO_OBJECTIVE_JUMP,      /* largest height that the center of mass gains; any guide */
   MO_OBJECTIVE_SUM = 255  /* a weighted sum of objectives and measures (measure.h) */
 };
-extern const char *const mo_objective_words[]; /* "reach", "approach", …, NULL; not of the sum */
+extern const char *const mo_objective_words[]; /* "reach", "approach", …, NULL; none for the sum */
 
 #define MO_EFFICIENT_FLOOR_M 0.2  /* distance that does not count */
 #define MO_EFFICIENT_LEAST_J 1.0  /* less work than this counts as this much */

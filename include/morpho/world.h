@@ -41,7 +41,8 @@ extern "C" {
 #define MO_GRID_SIDE_MAX         128
 #define MO_GRID_SPACING_MIN_M    0.02
 #define MO_GRID_SPACING_MAX_M    2.0
-/* Maximum number of heights in all grids of a request: 16 of the largest, 2 MiB of float64. */
+/* Maximum number of heights in all grids of a request: 16 grids of the largest size, 2 MiB of
+ * float64. */
 #define MO_GRIDS_HEIGHTS_MAX (16 * MO_GRID_SIDE_MAX * MO_GRID_SIDE_MAX)
 
 /* Springs that break during the rollout: those of one octant of the body's bounding box before the
@@ -78,7 +79,7 @@ struct mo_factors {
 };
 #define MO_FACTOR_MIN 0.01
 #define MO_FACTOR_MAX 100.0
-/* Returns factors that are all 1, and are given. */
+/* Returns factors that are all 1, and marked as given. */
 struct mo_factors mo_factors_ones(void);
 
 /* Ranges to draw worlds from, each {lowest, highest}: factors ({1, 1}: it does not vary), and what
@@ -133,7 +134,7 @@ struct mo_environment {
 #define MO_DROP_MAX_M 1.0
 
 /* Varies an environment: multiplies its factors, adds the drop and, if the slope is not 0, a plane
- * to its heights, of which the lowest is MO_TERRAIN_FLOOR_M then. On failure nothing changes:
+ * to its heights, the lowest of which is then MO_TERRAIN_FLOOR_M. On failure nothing changes:
  * MO_ERR_UNSUPPORTED (only grids of 8 × 8 heights can slope) or MO_ERR_RANGE (drop, height). */
 int mo_environment_vary(const struct mo_variation *by, struct mo_environment *environment);
 /* Returns whether all variations from the ranges suit the environment, except that their factors
@@ -241,7 +242,7 @@ int mo_terrain_draw(const struct mo_terrain_recipe *recipe, struct mo_environmen
 void mo_environment_training(uint64_t seed, uint32_t step, uint64_t index,
                              struct mo_environment *environment);
 
-/* Draws like mo_environment_training, under keys that no training uses. */
+/* Draws like mo_environment_training, under keys that no training run uses. */
 void mo_environment_held_out(uint64_t seed, uint64_t index, struct mo_environment *environment);
 
 /* Fills in the paper's test set, always the same 10 environments: five lights at 2.0 m (angles

@@ -314,7 +314,7 @@ void mo_api_get_atlas_comparison(struct mo_request *request)
   if (other == NULL) {
     mo_reply_bad_parameter(request, "with", "give the name of another atlas");
   } else if (mo_atlas_begin(request, MO_ATLAS_NEED_INDEX, &comparison->a)) {
-    /* The floats of both scores; what other atlases have in memory gives way to them. */
+    /* Memory for both scores as floats; parts of other atlases are freed for it if necessary. */
     mo_atlas_make_room(&mo_api_of(request)->atlases,
                        2 * sizeof(float) * mo_atlas_bodies_of(comparison->a.atlas));
     if (mo_atlas_begin_named(request, other, MO_ATLAS_NEED_FILE, &comparison->b)) {

@@ -219,7 +219,7 @@ bool mo_atlas_query_measure(struct mo_request *request, const struct mo_atlas_us
 bool mo_atlas_sort_by(struct mo_request *request, const struct mo_atlas_use *use, int measure,
                       bool is_negative, struct mo_atlas_index **index)
 {
-  /* As much as the index of scores; what other atlases have in memory gives way to it. */
+  /* As large as the index of scores; parts of other atlases are freed for it if necessary. */
   mo_atlas_make_room(&mo_api_of(request)->atlases,
                      sizeof(uint64_t) * mo_atlas_bodies_of(use->atlas));
   const int error =

@@ -186,7 +186,7 @@ static void write_counts(struct mo_text *text, const struct mo_atlas_use *use,
   mo_text_add(text, "]");
 }
 
-/* Finds where the bins begin and end if the request does not say it: at the lowest and after the
+/* Finds where the bins begin and end if the request does not say: at the lowest and after the
  * highest finite score or value. */
 static void find_ends(const struct mo_atlas_use *use, const struct order *order, float *lo,
                       float *hi)

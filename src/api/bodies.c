@@ -257,7 +257,7 @@ static int take_stream(struct mo_random_stream *kept, const struct parsed *parse
   return error;
 }
 
-/* Keeps the stream, which is now after the request's last body, in place of the previous one. */
+/* Keeps the stream, which is now after the request's last body, instead of the previous one. */
 static void keep_stream(struct mo_random_stream *kept, const struct parsed *parsed,
                         struct mo_body_stream *stream)
 {

@@ -327,7 +327,7 @@ static void check_aggregate(struct mo_json *json, const struct mo_parsed_campaig
                      "or another aggregate");
 }
 
-/* Checks that there are fresh worlds of the kind of the campaign's. */
+/* Checks that there are fresh worlds of the same kind as the campaign's. */
 static void check_re_evaluation(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
   const struct mo_campaign_record *record = &parsed->request.record;

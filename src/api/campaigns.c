@@ -44,7 +44,7 @@ static int write_notes(struct mo_api *api, struct mo_text *text,
 static void write_settings(struct mo_text *text, const struct mo_campaign_status *status)
 {
   const struct mo_campaign_record *record = &status->record;
-  struct mo_campaign_record shown = *record; /* with values in place of null */
+  struct mo_campaign_record shown = *record; /* with values instead of null */
   struct mo_campaign_settings *settings = &shown.settings;
   if (settings->mutation_rate == 0)
     settings->mutation_rate = 1.0 / mo_workspace_voxels(settings->workspace);

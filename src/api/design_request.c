@@ -330,13 +330,13 @@ const struct mo_field_own mo_designs_field = {.read = read_designs};
 
 /* ---- the designs of another job, or of an atlas ---- */
 
-/* What a population is of. */
+/* The source of a population. */
 struct population {
   enum mo_job_kind kind;
   int64_t id;
   uint32_t best; /* 0: not given */
   unsigned sources;
-  bool is_drawn; /* it has members of a sample other than its atlas */
+  bool is_drawn; /* it has members that describe a sample, besides the atlas */
 };
 
 static void check_population(struct mo_json *json, unsigned depth,

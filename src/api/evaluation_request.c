@@ -298,7 +298,7 @@ static int check_rollouts(struct mo_json *json, void *any)
   return check(json, &parsed->evaluation);
 }
 
-/* whole: what `parsed` is the first member of. */
+/* whole: the struct with `parsed` as its first member. */
 static int parse(const char *text, size_t size, const struct mo_fields *fields,
                  uint32_t most_designs, struct mo_parsed_evaluation *parsed, void *whole,
                  int (*check_whole)(struct mo_json *json, void *whole), struct mo_faults *faults)

@@ -36,7 +36,7 @@ static const char *precision_word(enum mo_precision precision)
   return precision == MO_FLOAT64 ? "float64" : "float32";
 }
 
-/* Writes the settings of a rung; NULL: of none. */
+/* Writes the settings of a rung; NULL: there is none. */
 static void write_setting(struct mo_text *text, const struct mo_setting *setting)
 {
   mo_text_member_number(text, "dt_s", setting != NULL ? setting->physics.scheme.dt_s : NAN);

@@ -30,7 +30,7 @@ struct told {
   struct mo_campaign_design *designs; /* (n) */
   struct mo_bits *genotypes;          /* (n) */
   struct mo_campaign_loss *losses;    /* (n) */
-  double (*measures)[MO_MEASURES];    /* (n, n_environments) room; NULL: the study names none */
+  double (*measures)[MO_MEASURES];    /* (n, n_environments) room; NULL: the study requests none */
   uint8_t *known;                     /* (n) */
   struct mo_environment *tasks;       /* nullable */
   struct mo_design_note *notes;       /* (n_notes) */

@@ -1,4 +1,4 @@
-/* training_bodies.c: the designs of a training that finetunes each of them alone: their scores
+/* training_bodies.c: the designs of a training run that finetunes each one separately: their scores
  * before and after, and how well the first predict the second. */
 #include <math.h>
 #include <stdlib.h>

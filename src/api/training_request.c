@@ -92,7 +92,7 @@ static void check_each(struct mo_json *json, struct mo_parsed_training *parsed)
                      EACH_NAME_MAX);
 }
 
-/* Refuses the members of a training of each design for other trainings. */
+/* Refuses members that are only for training each design separately, in other training runs. */
 static void check_not_each(struct mo_json *json, const struct mo_parsed_training *parsed)
 {
   static const char words[] =

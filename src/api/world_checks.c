@@ -33,7 +33,7 @@ void mo_parts_check_factors(struct mo_json *json, struct mo_parts *parts,
 {
   const bool varies = vary != NULL && mo_factors_vary(vary);
   if (mo_physics_check(physics, NULL) != MO_OK)
-    return; /* reported already, and not the fault of factors */
+    return; /* reported already, and not caused by factors */
   if (varies && parts->environments == NULL && parts->environment_set != NULL)
     check_set(json, parts, vary);
   for (uint32_t i = 0; parts->environments != NULL && i < parts->n_environments; i++) {

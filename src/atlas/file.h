@@ -28,13 +28,13 @@ int mo_atlas_is_of(const struct mo_atlas *atlas, const struct mo_atlas_source *s
 /* Finds the body with a key. MO_ERR_NOT_FOUND. */
 int mo_atlas_find_key(const struct mo_atlas *atlas, uint32_t n_voxels, uint64_t key,
                       uint64_t *position);
-/* Returns the column that a file has of a measure, or −1. */
+/* Returns a measure's column in the file, or −1. */
 int mo_atlas_column_of(const struct mo_atlas *atlas, enum mo_measure measure);
-/* Returns the values (n) of a measure of a block. column: below layout.n_measures. */
+/* Returns the values (n) of a measure in a block. column: below layout.n_measures. */
 const float *mo_atlas_column(const struct mo_atlas *atlas, const struct mo_atlas_block *block,
                              uint32_t column);
 float mo_atlas_in_column(const struct mo_atlas *atlas, uint64_t position, uint32_t column);
-/* Reads the key of a position. Returns its number of voxels. */
+/* Reads the key at a position. Returns the body's number of voxels. */
 uint32_t mo_atlas_key_at(const struct mo_atlas *atlas, uint64_t position, uint64_t *key);
 
 #endif

@@ -145,7 +145,7 @@ int mo_atlas_environments_unpack(const uint8_t *bytes, size_t size, uint32_t n,
 
 /* ---- blocks ---- */
 
-/* Returns whether a block has numbers that cannot be. */
+/* Returns whether a block has impossible numbers. */
 static bool has_wrong(const struct mo_atlas_layout *layout, const uint8_t *bytes, uint32_t n)
 {
   for (uint32_t i = 0; i < n; i++) {

@@ -1,8 +1,8 @@
 /* format.h: the layout of an atlas file (docs/atlas.md). Numbers are little-endian, as in memory.
  *
  * A file is a head, the environments, and blocks. The head has the number of bodies of each size,
- * from which the place and size of every block follow. A file without measures is of version 1, one
- * with measures of version 2. */
+ * from which the place and size of every block follow. A file without measures has version 1, one
+ * with measures version 2. */
 #ifndef MORPHO_ATLAS_FORMAT_H
 #define MORPHO_ATLAS_FORMAT_H
 
@@ -31,7 +31,7 @@ struct mo_atlas_head {
   char fingerprint[MO_ATLAS_FINGERPRINT];
   uint64_t end[2]; /* version 1: the checksum of the head before this member, and nothing more;
                       version 2: the measures, bit k for measure k of enum mo_measure, and the
-                      checksum of all before it */
+                      checksum of everything before it */
 };
 _Static_assert(sizeof(struct mo_atlas_head) % 8 == 0, "no padding, and blocks are aligned");
 _Static_assert(MO_ATLAS_VOXELS_MAX == 10, "a different number of counts needs a new version");
@@ -45,7 +45,7 @@ static inline uint64_t mo_atlas_head_measures(const struct mo_atlas_head *head)
 {
   return head->version < MO_ATLAS_MEASURED ? 0 : head->end[0];
 }
-/* Returns where a head has its checksum. */
+/* Returns the offset of the checksum in a head. */
 static inline uint64_t *mo_atlas_head_checksum(struct mo_atlas_head *head)
 {
   return &head->end[head->version < MO_ATLAS_MEASURED ? 0 : 1];
@@ -54,14 +54,14 @@ static inline uint64_t *mo_atlas_head_checksum(struct mo_atlas_head *head)
 uint64_t mo_atlas_head_hash(const struct mo_atlas_head *head);
 
 /* Before each environment: the version and size of its packed form (world/environment.h), which
- * follows, with zeros up to a multiple of 8. */
+ * follows, zero-padded to a multiple of 8 bytes. */
 struct mo_atlas_environment_head {
   uint32_t version, bytes;
 };
 
 /* A block: this, then (n) keys of uint64_t, (n) scores of float, (n, n_environments) losses of
- * uint16_t (losses.h), (n_measures, n) measures of float, each with zeros up to a multiple of 8,
- * and the checksum of all that. A measure without a value is MO_ATLAS_NO_VALUE. */
+ * uint16_t (losses.h), (n_measures, n) measures of float, each zero-padded to a multiple of 8
+ * bytes, and the checksum of all of it. A measure without a value is MO_ATLAS_NO_VALUE. */
 #define MO_ATLAS_NO_VALUE UINT32_C(0x7fc00000) /* the bits of a NaN */
 struct mo_atlas_block_head {
   uint32_t n_voxels, n;
@@ -78,7 +78,7 @@ struct mo_atlas_layout {
 };
 void mo_atlas_layout_fill(const struct mo_atlas_head *head, struct mo_atlas_layout *layout);
 
-/* Block number i of all. */
+/* A block, by its number in the file. */
 struct mo_atlas_block {
   uint32_t n_voxels, n;
   uint64_t position, begin;

@@ -144,7 +144,7 @@ static const uint32_t *sorted(const struct mo_atlas_index *index, uint32_t n_vox
   return index->by_size + first;
 }
 
-/* Counts the positions with a lower score or, with `or_equal`, one that is not higher. */
+/* Counts the positions with a lower score or, with `or_equal`, a score that is not higher. */
 static uint64_t count(const struct mo_atlas_index *index, const uint32_t *positions, uint64_t n,
                       float score, bool or_equal)
 {

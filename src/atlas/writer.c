@@ -7,7 +7,7 @@
  * was interrupted. The lock of PATH.part keeps other writers away, and ends with the process.
  *
  * The bodies of an unfinished block are saved as a smaller block in the place of the whole one,
- * which later replaces it. A save that fails or is torn loses what was saved of this one block:
+ * which later replaces it. A save that fails or is torn loses the saved part of this one block:
  * only whole blocks are safe from later writes. */
 #include "atlas/writer.h"
 
@@ -41,7 +41,7 @@ struct mo_atlas_writer {
   bool knows_next;    /* also if no body is left */
   uint64_t block;     /* index of the block that is being filled */
   uint32_t filled;    /* its bodies so far */
-  uint32_t saved;     /* those of them that PATH.part has */
+  uint32_t saved;     /* those already in PATH.part */
   uint8_t *bytes;     /* its bytes, and room for the largest block */
   uint8_t *beginning; /* the head and the environments */
   size_t beginning_bytes;
@@ -96,7 +96,7 @@ static int write_block(struct mo_atlas_writer *writer, const struct mo_atlas_blo
   const uint64_t checksum = mo_form_hash(bytes, checked);
   memcpy(bytes + checked, &checksum, sizeof(checksum));
   const int error = append(writer, block->begin, bytes, block->bytes);
-  if (error != MO_OK) /* what was saved of it is gone */
+  if (error != MO_OK) /* its saved part is gone */
     writer->saved = 0;
   return error;
 }

@@ -27,12 +27,12 @@ const char *mo_number_text(double value, char text[MO_NUMBER_BYTES]);
 
 #define MO_COUNTED_BYTES 64
 
-/* Writes a number of things, "1 voxel" or "3 voxels", for nouns with a regular plural. */
+/* Writes a count with its noun, "1 voxel" or "3 voxels", for nouns with a regular plural. */
 const char *mo_counted_text(uint64_t n, const char *thing, char text[MO_COUNTED_BYTES]);
 /* Produces the same text as an argument for "%s"; valid until the end of the enclosing block. */
 #define MO_COUNTED(n, thing) mo_counted_text((n), (thing), (char[MO_COUNTED_BYTES]){0})
 
-/* Returns words for a message: if they have more than `max` bytes, their beginning, cut between two
+/* Returns text for a message: if it is longer than `max` bytes, its beginning, cut between two
  * characters, and "…". text: space for max + 4 bytes. */
 const char *mo_cut_text(const char *words, size_t max, char *text);
 /* Does the same with a name as an argument for "%s"; valid until the end of the enclosing block. */

@@ -5,7 +5,7 @@
 
 #include "certificate/statistics.h"
 
-/* What the figures of a certificate are computed from, and memory for them. */
+/* The inputs of a certificate's figures, and memory for computing them. */
 struct work {
   const struct mo_trial *trials;
   const float *const *losses;

@@ -14,7 +14,7 @@
 
 #include "base/words.h"
 
-/* As in training worlds (world/environments.c). */
+/* Same as in training worlds (world/environments.c). */
 #define LIGHT_NEAR_M 0.4
 #define LIGHT_FAR_M  2.0
 #define ROUGHEST_M   0.13 /* standard deviation of 64 heights; their σ is below 0.1 m */

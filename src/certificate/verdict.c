@@ -74,7 +74,7 @@ static uint32_t last_of(const struct mo_trial *trials, uint32_t n_trials, enum m
   return found;
 }
 
-/* Returns the trial that has the smallest error of numerics; 0: none. */
+/* Returns the trial with the smallest numerical error; 0: none. */
 static uint32_t finest(const struct mo_trial *trials, uint32_t n_trials)
 {
   const uint32_t step = last_of(trials, n_trials, MO_AXIS_STEP);
@@ -125,7 +125,7 @@ static void add_flags(struct mo_text *text, uint32_t flags)
   }
 }
 
-/* Returns whether a rank is roughly kept at a level; of the only design, which has no rank that
+/* Returns whether a rank is roughly kept at a level; for a single design, which has no rank that
  * could change, whether its score is. */
 static bool is_kept_at(const struct about *about, uint32_t t)
 {
@@ -137,8 +137,8 @@ static bool is_kept_at(const struct about *about, uint32_t t)
                                : fabs((double)here->rank - base->rank) <= few;
 }
 
-/* Appends what finer steps do to the rank, and how the score follows. Of the only design, only the
- * score can change. */
+/* Appends what finer steps do to the rank and to the score. For a single design, only the score can
+ * change. */
 static void add_numerics(struct mo_text *text, const struct about *about)
 {
   const uint32_t t = finest(about->trials, about->n_trials);

@@ -16,7 +16,7 @@
  *
  * Errors. After an error the results of the call are undefined; after all but MO_ERR_DEVICE the
  * device still works.
- *   MO_ERR_NO_MEMORY    of the device or the host: the caller retries with fewer rows
+ *   MO_ERR_NO_MEMORY    on the device or the host: the caller retries with fewer rows
  *   MO_ERR_DEVICE       the device is lost or has failed. After that, only `error`,
  *                       `controller_free` and `close` are called, and `lay_out` and `allocate`
  *                       by a thread that has not learned of it yet; its layouts and memory
@@ -69,7 +69,7 @@ struct mo_device_score {
   struct mo_outcome *outcomes;     /* (n) */
   double (*measures)[MO_MEASURES]; /* NULL, or (n): all measures of each row, as mo_rollout_block
                                       writes them; they change no other result */
-  double host_s, device_s;         /* time of host work and of the device */
+  double host_s, device_s;         /* time on the host and on the device */
 };
 
 /* Computes gradients of rows, in shards of MO_DEVICE_SHARD consecutive rows (the last one may be
@@ -86,7 +86,7 @@ struct mo_device_gradient {
   const volatile int *cancel; /* as above */
   /* Results. */
   float *d_parameters; /* (shards, n_parameters) the sum of each shard; robots that diverged or were
-                          zeroed count as 0; faster in memory of `allocate` */
+                          zeroed count as 0; faster in memory from `allocate` */
   struct mo_outcome *outcomes;      /* (n) */
   struct mo_gradient_counts counts; /* of this call only */
   double host_s, device_s;
@@ -97,7 +97,7 @@ struct mo_device_module {
   const char *name; /* "cuda" */
   const char *score_code, *gradient_code; /* code versions; with the capability they identify the
                                              bits */
-  int (*count)(uint32_t *n);              /* usable devices of this machine; 0 without a driver */
+  int (*count)(uint32_t *n);              /* usable devices on this machine; 0 without a driver */
   int (*open)(uint32_t index, struct mo_device **device);
   void (*close)(struct mo_device *device); /* after its controllers are freed; NULL-safe */
   int (*info)(struct mo_device *device, struct mo_device_info *info);

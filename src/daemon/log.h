@@ -2,7 +2,7 @@
  *
  * A line is a level, a message and fields. Three formats: `text` for people, `logfmt` and `json`
  * for programs. If standard error is the systemd journal, lines start with their priority ("<6>")
- * and omit the time, which the journal adds. Lines are written whole, so that lines of several
+ * and omit the time, which the journal adds. Lines are written whole, so that lines from several
  * threads never mix. Any thread may change the level at any time. */
 #ifndef MORPHO_DAEMON_LOG_H
 #define MORPHO_DAEMON_LOG_H
@@ -11,7 +11,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Longest line; at most PIPE_BUF, so that lines of several processes never mix. */
+/* Longest line; at most PIPE_BUF, so that lines from several processes never mix. */
 #define LOG_LINE_BYTES 4096
 
 enum log_level { LOG_LEVEL_ERROR = 0, LOG_LEVEL_WARNING, LOG_LEVEL_INFO, LOG_LEVEL_DEBUG };

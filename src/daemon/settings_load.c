@@ -157,7 +157,7 @@ static bool read_file(struct settings *settings, const char *path, bool required
 static void read_environment(struct settings *settings, const char *const *environment,
                              struct settings_faults *faults)
 {
-  /* Variables with this prefix that are not settings: the variables of morphoctl, and the name of
+  /* Variables with this prefix that are not settings: the variables for morphoctl, and the name of
    * the file. */
   static const char *const others[] = {"config", "server", "token"};
   for (const char *const *entry = environment; entry != NULL && *entry != NULL; entry++) {

@@ -7,7 +7,7 @@
  * The rounds: first a few designs, spread evenly over the list, in all environments, to find out
  * which environments are hard. Then the hardest one for all designs, then the next two, then the
  * rest. In between, the most promising designs get all their losses, which lowers the bound at
- * once. These sizes took the least time with the losses of 10,000 random bodies
+ * once. These sizes took the least time for the losses of 10,000 random bodies
  * (docs/performance.md). */
 #include "evolution/internal.h"
 

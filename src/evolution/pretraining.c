@@ -162,7 +162,7 @@ int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace w
                          uint32_t n_threads, const volatile int *cancel, volatile uint64_t *done,
                          struct mo_form_set *set)
 {
-  const struct mo_workspace home = MO_DEFAULT_WORKSPACE; /* of the pretraining */
+  const struct mo_workspace home = MO_DEFAULT_WORKSPACE; /* of the pretraining run */
   const bool tells_apart = mo_workspace_equal(workspace, home) && mo_form_set_count(set) == 0;
   struct mo_form_set *own = NULL;
   int r = tells_apart ? MO_OK : mo_form_set_create(home, &own);

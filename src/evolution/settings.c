@@ -135,7 +135,7 @@ int mo_campaign_settings_check(const struct mo_campaign_settings *settings,
   return r == MO_OK && mo_modes[settings->mode].learns ? check_learning(settings, message) : r;
 }
 
-/* ---- the settings of its training ---- */
+/* ---- the settings of its training run ---- */
 
 struct mo_training_settings mo_campaign_training(const struct mo_campaign_settings *settings,
                                                  uint32_t generation)

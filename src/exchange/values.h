@@ -44,7 +44,7 @@ struct mo_measured {
 void mo_members_losses(struct mo_text *text, const double *losses, size_t n,
                        const struct mo_environment *environments,
                        const struct mo_measured *measured);
-/* Writes the words of flags (enum mo_measure_flag) as the member "flags". */
+/* Writes the names of flags (enum mo_measure_flag) as the member "flags". */
 void mo_member_flags(struct mo_text *text, unsigned flags);
 /* Writes the names of measures as a member. */
 void mo_member_measures(struct mo_text *text, const char *name, uint32_t set);

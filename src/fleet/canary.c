@@ -23,7 +23,7 @@
 #define STEPS  50 /* for the gradients */
 #define KINDS  4  /* of gradients */
 
-#define NO_GRADIENT 6 /* the lane with a sum that has none */
+#define NO_GRADIENT 6 /* the lane with a sum that has no gradient */
 
 struct canary {
   struct mo_lattice *lattice;
@@ -145,7 +145,7 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
 
 /* ---- the gradient ---- */
 
-/* Robots have all lanes, and with them all objectives. */
+/* The robots use all lanes, and therefore all objectives. */
 static uint32_t lane_of(uint32_t robot)
 {
   const uint32_t lane = (robot + robot / BODIES) % MO_BLOCK_LANES;

@@ -16,7 +16,7 @@
 
 /* ---- votes ---- */
 
-/* For a gradient, takes 10 ms. */
+/* Takes 10 ms for a gradient. */
 static struct mo_sha256 sum_of(const struct mo_wire_result *result)
 {
   struct mo_sha256 hashes[2] = {{{0}}}, hash = {{0}};

@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Bodies and controllers are of the service's workspace. */
+/* Bodies and controllers belong to the service's workspace. */
 #define GENOTYPE_BYTES (MO_DEFAULT_WORDS * sizeof(uint64_t))
 
 /* Maps addresses of environments to their numbers, with open addressing. */

@@ -12,8 +12,8 @@
 
 #include "fleet/source.h"
 
-/* Raised with every change of the messages, the wire format or the canary. Workers of any version
- * of the program may join if they use this protocol and compute the same bits. */
+/* Incremented with every change to the messages, the wire format or the canary. Workers of any
+ * version of the program may join if they use this protocol and compute the same bits. */
 #define MO_FLEET_PROTOCOL 7
 
 #define MO_FLEET_SESSIONS_MAX 4096

@@ -71,7 +71,7 @@ uint32_t mo_give_wanted(const struct mo_fleet *fleet, enum mo_back_end back_end)
   return blocks < READY_BLOCKS_MAX ? (uint32_t)blocks + (steps > 0) : READY_BLOCKS_MAX;
 }
 
-/* ---- leases that are there ---- */
+/* ---- existing leases ---- */
 
 static bool fits(const struct mo_fleet *fleet, const struct mo_lease *lease,
                  const struct mo_session *session, uint64_t now_ns)
@@ -82,8 +82,8 @@ static bool fits(const struct mo_fleet *fleet, const struct mo_lease *lease,
 }
 
 /* A lease with suspects is not repeated: its blocks are put back first, and then leased among fewer
- * bodies. It often takes long until a lost session is noticed, so otherwise some session would
- * always hold the lease. */
+ * bodies. It often takes a long time to notice that a session is lost, so otherwise some session
+ * would always hold the lease. */
 static bool may_repeat(const struct mo_fleet *fleet, const struct mo_lease *lease,
                        const struct mo_session *session)
 {
@@ -154,8 +154,8 @@ static int copy(struct mo_fleet *fleet, struct mo_taken *taken, struct mo_wire_l
   return error;
 }
 
-/* Takes blocks and makes a lease of them. Called without the lock; returns with it. Returns NULL if
- * there are no blocks that workers can compute, or no memory. */
+/* Takes blocks and makes a lease from them. Called without the lock; returns with it. Returns NULL
+ * if there are no blocks that workers can compute, or no memory. */
 static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back_end,
                                    uint64_t steps, struct mo_weights **weights)
 {

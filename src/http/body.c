@@ -34,7 +34,7 @@ uint64_t mo_body_memory_of_client(const struct mo_request *request)
 }
 
 /* Call the functions below with the bodies' lock held or, once the body is no longer being
- * received, on the thread that has the request. */
+ * received, on the thread that owns the request. */
 
 static void leave_list(struct mo_request *request)
 {

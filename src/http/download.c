@@ -6,7 +6,7 @@
  * only one piece. A reply that fits into its first piece is an ordinary reply with a
  * Content-Length.
  *
- * The thread that has the request also has the download: the I/O thread while the connection is
+ * The thread that owns the request also owns the download: the I/O thread while the connection is
  * active, one API thread while it is suspended. */
 #include "http/download.h"
 
@@ -77,7 +77,7 @@ static void refill(struct mo_request *request)
   download->failed = error != MO_OK;
   if (download->failed)
     mo_request_note(request, "the reply broke off: %s", mo_error_text(error));
-  MHD_resume_connection(mhd); /* from now on the I/O thread has the request */
+  MHD_resume_connection(mhd); /* from now on the I/O thread owns the request */
 }
 
 /* Passes libmicrohttpd the next bytes. */

@@ -2,9 +2,10 @@
  *
  * Bodies come from a stream and are scored in waves, so memory does not depend on their number. A
  * body is added to the file when it and all bodies before it have their losses; about once a second
- * the file is made durable, and then the row with the progress is written. The database never has
- * the scores. Whatever stops the job, it continues after the last durable body of the file: the
- * losses of a body depend on nothing but the body and the settings, so the file has the same bytes.
+ * the file is made durable, and then the row with the progress is written. The database never
+ * contains the scores. Whatever stops the job, it continues after the last durable body of the
+ * file: the losses of a body depend on nothing but the body and the settings, so the file has the
+ * same bytes.
  *
  * A file begins with what its losses depend on. If a job continues under different code (a
  * different instruction set, or an update), the unfinished file no longer belongs to it, and the
@@ -38,7 +39,7 @@
 #define NINE_VOXELS_BYTES (UINT64_C(8) << 20)
 #define LESS_BYTES        (UINT64_C(2) << 20)
 #define FLIGHT_BYTES      1024
-#define MEASURED_BYTES    (MO_BLOCK_LANES * sizeof(double[MO_MEASURES])) /* more of a flight */
+#define MEASURED_BYTES    (MO_BLOCK_LANES * sizeof(double[MO_MEASURES])) /* additional, per flight */
 
 struct run {
   struct mo_runner *runner;
@@ -54,7 +55,7 @@ struct run {
   struct mo_compute_controller *ready;
   struct mo_atlas_wave wave;
   struct mo_scoring scoring;
-  uint32_t added;     /* bodies of the wave that the writer has */
+  uint32_t added;     /* bodies of the wave that were added to the file */
   uint32_t n_unsaved; /* 1: losses arrived that were not processed */
   bool is_complete;   /* the file has its final name */
   uint64_t shown;     /* bodies in the row */
@@ -111,8 +112,8 @@ static void advance(struct run *run, double rollouts_per_s)
 
 /* ---- the file ---- */
 
-/* Determines what the file with the atlas's name is. MO_OK: it is complete and has what this job
- * writes, so run->is_complete. Nothing else uses the name while the job is open, so an earlier
+/* Determines what the file with the atlas's name is. MO_OK: it is complete and contains what this
+ * job writes, so run->is_complete. Nothing else uses the name while the job is open, so an earlier
  * attempt ended right before its job did. MO_ERR_NOT_FOUND; MO_ERR_DUPLICATE: it is a different
  * atlas, and the job gives up. */
 static int adopt(struct run *run)

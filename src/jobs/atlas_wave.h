@@ -15,7 +15,7 @@ struct mo_atlas_wave {
   uint32_t n, n_designs;         /* bodies and their designs */
   struct mo_bits *forms;         /* (most) bodies */
   uint32_t *begins;              /* (most + 1) first design of a body */
-  uint8_t *left;                 /* (most) designs of a body without all losses */
+  uint8_t *left;                 /* (most) designs of a body that still lack losses */
   struct mo_bits *designs;       /* (most) */
   uint32_t *bodies;              /* (most) body of a design */
   double *losses;                /* (most, n_environments) */
@@ -31,9 +31,9 @@ void mo_atlas_wave_measured(struct mo_atlas_wave *wave, uint32_t design, uint32_
                             const double values[MO_MEASURES]);
 /* Fills the wave with the next bodies of a stream; n 0: no body is left. MO_ERR_NO_MEMORY. */
 int mo_atlas_wave_fill(struct mo_atlas_wave *wave, struct mo_atlas_bodies *bodies);
-/* Computes the losses of body i, whose designs all have theirs: the means over its designs, added
- * in their order. losses: (n_environments). measures: (n_measures) the same, and then the means
- * over the environments, in their order; NaN if one of the numbers is. */
+/* Computes the losses of body i, once all of its designs have theirs: the means over its designs,
+ * added in their order. losses: (n_environments). measures: (n_measures) the same, and then the
+ * means over the environments, in their order; NaN if one of the numbers is. */
 void mo_atlas_wave_mean(const struct mo_atlas_wave *wave, uint32_t i, double *losses,
                         double *measures);
 /* Counts the designs of the bodies at the positions from `first` to `end`. */

@@ -2,7 +2,7 @@
  *
  * Few-shot: each generation has its own training run, which starts from the pretrained weights and
  * takes parent_steps on the parents, then child_steps on the children. Simultaneous: one training
- * run takes the same steps and continues over the whole campaign. Generation 0 has no parents and
+ * run takes the same steps and continues throughout the campaign. Generation 0 has no parents and
  * takes child_steps on the initial population. Robots learn in random environments or, if the
  * campaign requests it, in those of the campaign; then checkpoints contain these.
  *

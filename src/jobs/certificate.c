@@ -26,7 +26,7 @@
 #define GROUP_ROLLOUTS 524288 /* most rollouts of a group with several parts */
 #define ROW_LOSSES     65536  /* of a saved row */
 #define ROWS_MAX       64     /* per save; a group ends a row at each trial */
-#define FLOAT64_COST   2.0    /* time of a rollout, in those of float32 */
+#define FLOAT64_COST   2.0    /* time of a rollout, relative to float32 */
 /* Measured, and rounded up: the cells, losses and environments of a group; and the measures of the
  * base. */
 #define GROUP_BYTES  (UINT64_C(24) << 20)
@@ -75,7 +75,7 @@ struct run {
 
 /* ---- live figures ---- */
 
-/* Returns the time of a rollout of a trial, in those of the base. */
+/* Returns the time of a rollout in a trial, relative to the base. */
 static double cost_of(const struct run *run, const struct mo_trial *trial)
 {
   return (double)trial->physics.scheme.n_steps / run->base.physics.scheme.n_steps *
@@ -456,7 +456,7 @@ static int prepare(struct run *run)
   return error;
 }
 
-/* Lists show what a certificate says of a design in brief, and must not compute it from losses. */
+/* Lists show a certificate's brief verdict on a design, and must not compute it from losses. */
 static int find_verdicts(const struct run *run, uint8_t *verdicts)
 {
   struct mo_report report;
@@ -521,7 +521,7 @@ static void clean_up(void *context)
 struct mo_need mo_certificate_need(const struct mo_jobs *jobs, uint32_t n_designs,
                                    uint64_t n_rollouts, enum mo_back_end back_end)
 {
-  /* At the end, all losses are in memory in place of a group. */
+  /* At the end, all losses are in memory instead of a group. */
   const uint64_t losses = n_rollouts * sizeof(float);
   return (struct mo_need){.own = (losses > GROUP_BYTES ? losses : GROUP_BYTES) +
                                  (uint64_t)n_designs * MO_CERTIFICATE_PART * MO_MEASURES *

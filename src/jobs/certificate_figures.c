@@ -47,7 +47,7 @@ static int compute(struct mo_report *report)
 }
 
 /* Finds out why a complete trial has no losses: since its state was read, the job has begun again
- * under other code, or has been deleted; otherwise, losses are lost. */
+ * under different code, or has been deleted; otherwise, losses are lost. */
 static int explain_loss(struct mo_store *store, const struct mo_report *report)
 {
   struct mo_certificate_status now;

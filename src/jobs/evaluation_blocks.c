@@ -85,7 +85,7 @@ static struct mo_setting setting_of(const struct mo_work *work, uint32_t design)
   return mo_ladder_run(&first, work->job.n_displaced, run_of(work, design));
 }
 
-/* Returns the class that stores the rollouts of a row: its own in the rungs in float64. */
+/* Returns the class that stores the rollouts of a row: the float64 rungs have a separate one. */
 static int64_t class_of(const struct mo_work *work, uint32_t design)
 {
   return work->job.tolerance > 0 && setting_of(work, design).precision == MO_FLOAT64
@@ -184,7 +184,7 @@ static int finish_design(struct mo_evaluations *all, const struct mo_active *act
              : MO_ERR_NO_MEMORY;
 }
 
-/* Finishes a cell that has its score in the store. Returns whether its design is done. */
+/* Finishes a cell with a score in the store. Returns whether its design is done. */
 static bool finish_known(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
                          uint32_t k, const struct mo_score *score)
 {
@@ -198,8 +198,7 @@ static bool finish_known(struct mo_evaluations *all, struct mo_active *active, u
   return mo_grid_finish(&active->grid, design, k);
 }
 
-/* Finishes the cells of a design that have their scores in the store, unless all open cells must
- * wait. */
+/* Finishes the cells of a design with scores in the store, unless all open cells must wait. */
 static int look_up(void *context, uint32_t design)
 {
   struct mo_active *active = context;

@@ -22,7 +22,7 @@ const char *mo_phase_name(enum mo_phase phase);
 struct mo_live {
   enum mo_phase phase;
   uint32_t position;         /* training: steps applied; campaign: the current generation */
-  uint32_t last;             /* training: steps in all; campaign: the last generation; 0: unknown */
+  uint32_t last;             /* training: total steps; campaign: the last generation; 0: unknown */
   uint64_t done, total;      /* training: redrawn bodies; campaign: depends on the phase: redrawn
                               * bodies, learning steps, or scored designs; evaluation: rollouts */
   double rate;               /* robots (training) or rollouts computed per second; 0: unknown */

@@ -82,7 +82,7 @@ struct mo_window {
 };
 /* Cuts the next block and submits it. If a block is rejected, it comes back at once with the error.
  * Returns 1, or 0 if the window is full, no cell is open, or *budget designs were visited, or an
- * error of the functions above or of memory. */
+ * error code from the functions above, or MO_ERR_NO_MEMORY. */
 int mo_window_launch(struct mo_window *window, unsigned *budget);
 /* Takes a finished block out of the window, and marks its cells as done. *is_done: its design is
  * done. Returns the error of the block and describes it in `text` for its job; the cells then stay

@@ -50,7 +50,7 @@ bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
                  const struct mo_physics *physics, enum mo_precision precision);
 
 /* ---- admission.c: the open jobs of all kinds ---- */
-/* Returns the rollouts that a job was admitted with: those with half of the step count twice. */
+/* Returns the rollouts that a job was admitted with: those with half the step count twice. */
 uint64_t mo_job_admitted(const struct mo_job *job);
 int mo_jobs_admit(struct mo_jobs *jobs, uint32_t n_jobs, uint64_t rollouts,
                   struct mo_message *message); /* MO_ERR_BUSY */

@@ -1,10 +1,10 @@
-/* training.c: the kind "training": runs one training to its end or until a request.
+/* training.c: the kind "training": runs one training run to its end or until a request.
  *
  * A step draws robots, waits for their gradient and applies it. Rows of steps are written about
  * once a second and before every checkpoint. A checkpoint is written when it is due, at a pause, at
  * a stop, and at the end, before the controller; on devices, during the next gradient. A crash
  * loses the time since the last checkpoint: the steps after it are repeated with the same
- * results. A training of each design is a sequence of such trainings, one per design. */
+ * results. Training each design separately is a sequence of such runs, one per design. */
 #include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/training_run.h"
@@ -140,7 +140,7 @@ static int step(struct mo_training_run *run)
   return MO_OK;
 }
 
-/* Ends a training if no step has changed the controller. */
+/* Ends a training run if no step has changed the controller. */
 static int check_learned(struct mo_training_run *run)
 {
   const struct mo_training *training = run->learner.training;

@@ -1,8 +1,8 @@
-/* training_each.c: a finetuning of each design alone.
+/* training_each.c: finetunes each design separately.
  *
- * Each design is a finetuning of its own, with the settings, the seed and the parent of the job, so
- * that it ends with the same controller as one that has only this design. A design counts as done
- * when its row is stored. A run that continues makes its first score again. */
+ * Each design has its own finetuning run, with the settings, the seed and the parent of the job, so
+ * that it ends with the same controller as a run on that design alone. A design counts as done when
+ * its row is stored. A resumed run recomputes the design's first score. */
 #include <string.h>
 
 #include "jobs/training_run.h"

@@ -1,5 +1,5 @@
-/* training_run.c: the state of a training that runs: its rows and checkpoints, and how it begins or
- * continues. */
+/* training_run.c: the state of a running training job: its rows and checkpoints, and how it begins
+ * or continues. */
 #include "jobs/training_run.h"
 
 #include <stdio.h>

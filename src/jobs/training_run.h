@@ -1,5 +1,5 @@
-/* training_run.h: the state of a training that runs, and the parts of a run that trainings of one
- * controller and of each design share. */
+/* training_run.h: the state of a running training job, and the parts that training one controller
+ * and training each design separately have in common. */
 #ifndef MORPHO_JOBS_TRAINING_RUN_H
 #define MORPHO_JOBS_TRAINING_RUN_H
 
@@ -16,7 +16,7 @@ struct mo_training_run {
   int64_t id;
   struct mo_training_status status; /* from the time of the claim */
   struct mo_learner learner;
-  struct mo_held_out held_out;                        /* of each design: all designs */
+  struct mo_held_out held_out; /* if each design is trained separately: all designs */
   struct mo_training_step_row rows[MO_TRAINING_ROWS]; /* not written yet */
   size_t n_rows;
   int64_t rows_us, checkpoint_us; /* times of the last writes */
@@ -29,8 +29,8 @@ struct mo_training_run {
   uint64_t n_rates;
   bool code_noted; /* the lineage has the code of this run, for the back end `noted` */
   enum mo_back_end noted;
-  /* Of a training of each design: the controller that every design starts from; the one that learns
-   * now, and the code that computed its steps. */
+  /* If each design is trained separately: the controller that every design starts from; the one
+   * that is learning now, and the code that computed its steps. */
   struct mo_controller *parent;
   struct mo_training_body body;
   struct mo_training_lineage body_code;
@@ -52,7 +52,7 @@ int mo_training_run_begin(struct mo_training_run *run);
 
 /* ---- training_submit.c ---- */
 
-/* Estimates the memory of a training. */
+/* Estimates the memory of a training run. */
 struct mo_need mo_training_need(const struct mo_jobs *jobs, const struct mo_training_record *record,
                                 enum mo_back_end back_end);
 

@@ -1,11 +1,11 @@
-/* training_submit.c: stores submissions of trainings. */
+/* training_submit.c: stores submitted training runs. */
 #include <stdlib.h>
 
 #include "jobs/submission.h"
 #include "jobs/training_run.h"
 #include "store/worlds.h"
 
-/* Memory of a robot in a pretraining: random body, environment, outcome. */
+/* Memory of a robot in a pretraining run: random body, environment, outcome. */
 #define DRAWN_BYTES ((uint64_t)5 << 10)
 
 struct mo_need mo_training_need(const struct mo_jobs *jobs, const struct mo_training_record *record,
@@ -80,7 +80,7 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
                     struct mo_placed *placed, struct mo_message *message)
 {
   struct mo_training_record *record = &request->record;
-  /* For drawn worlds, the scores of the test set say which orientation is best. */
+  /* For drawn worlds, the scores on the test set show which orientation is best. */
   const bool is_listed = request->environments != NULL && !record->draws_worlds;
   const char *const set = record->environment_set[0] != '\0' ? record->environment_set
                           : is_listed                        ? NULL

@@ -13,7 +13,7 @@
  * - MO_ERR_NOT_FOUND: no such controller, population or atlas
  * - MO_ERR_CONFLICT: the key was used with a different body, the population has not succeeded, or
  *   the atlas is not complete or not the requested one
- * - MO_ERR_RANGE: the designs are too many, for the atlas or for a training
+ * - MO_ERR_RANGE: there are too many designs, for the atlas or for a training run
  * - MO_ERR_UNSUPPORTED: the controller is for a different workspace */
 int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_request *request,
                             int64_t *id, bool *replayed, struct mo_message *message);

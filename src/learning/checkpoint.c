@@ -17,7 +17,7 @@
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "checkpoints are little-endian");
 
-#define VERSION     3 /* the training draws its environments */
+#define VERSION     3 /* the run draws its environments */
 #define VERSION_OWN 4 /* it has its own */
 #define SUM_BYTES   sizeof(uint64_t)
 

@@ -15,7 +15,7 @@ struct mo_training {
   uint32_t skipped; /* steps that changed no weight; the others are Adam's updates */
   uint32_t n_designs;
   uint64_t *designs;                   /* finetune: (n_designs, MO_DEFAULT_WORDS) */
-  uint32_t n_environments;             /* 0: the training draws its environments */
+  uint32_t n_environments;             /* 0: the run draws its environments */
   struct mo_environment *environments; /* (n_environments) its own */
   bool draws_worlds;                   /* only the tasks are its own; or it has no environments */
   uint64_t draws; /* pretrain: draws of the stream up to the current step; a replay must reach this

@@ -78,8 +78,8 @@ void mo_course_light(const struct mo_course *course, double t_s, const struct mo
 void mo_course_finish(const struct mo_course *course, const struct mo_track *track,
                       const struct mo_observed *observed, struct mo_outcome *outcome);
 
-/* Returns the loss that gradients differentiate: that of mo_course_finish, with a smooth maximum in
- * place of the largest height. */
+/* Returns the loss that gradients differentiate: that of mo_course_finish, with a smooth maximum
+ * instead of the largest height. */
 double mo_course_soft_loss(const struct mo_course *course, const struct mo_track *track,
                            const struct mo_observed *observed);
 

@@ -37,8 +37,8 @@ struct mo_setting mo_ladder_run(const struct mo_setting *first, uint32_t n_displ
   return of_run;
 }
 
-/* Returns whether the error of the last rung has not fallen as the error of a step does; false if
- * it is unknown. */
+/* Returns whether the error of the last rung has not fallen the way a step error does; false if it
+ * is unknown. */
 static bool has_stalled(const struct mo_score_error *errors, uint32_t n)
 {
   return n == MO_LADDER_RUNGS && errors[n - 1].half_width > 0.5 * errors[n - 3].half_width;

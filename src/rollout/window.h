@@ -9,7 +9,7 @@
 #include "rollout/course.h"
 #include "rollout/measuring.h"
 
-/* Which steps of the rollout a window has: from first_step up to, but excluding, end_step. */
+/* Which steps of the rollout a window covers: from first_step up to, but excluding, end_step. */
 struct mo_window {
   uint32_t first_step, end_step;
   uint32_t control_steps; /* in a control period */

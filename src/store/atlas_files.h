@@ -25,7 +25,7 @@ int mo_store_atlas_put(struct mo_store *store, const char *name, const void *byt
 /* Deletes a file, durably; processes that have it mapped keep it. MO_ERR_NOT_FOUND. */
 int mo_store_atlas_delete(struct mo_store *store, const char *name);
 
-/* Returns whether an atlas is of the store's workspace; the message says which one it has. */
+/* Returns whether an atlas is for the store's workspace; the message says which one it has. */
 struct mo_atlas;
 bool mo_atlas_is_of_store(const struct mo_atlas *atlas, struct mo_message *message);
 

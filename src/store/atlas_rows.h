@@ -7,7 +7,7 @@
 
 /* Finds the job that builds an atlas of this name, or failed and can be resumed; *id 0: none. */
 int mo_atlas_builder(struct mo_connection *connection, const char *name, int64_t *id);
-/* As mo_store_atlas_name_check. */
+/* Like mo_store_atlas_name_check. */
 int mo_atlas_name_find(const struct mo_store *store, struct mo_connection *connection,
                        const char *name, struct mo_message *message);
 /* Deletes unfinished files of jobs that have ended. Call it before the writer starts. */

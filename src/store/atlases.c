@@ -166,7 +166,7 @@ static int write_record(struct mo_connection *writer, int64_t id, const void *an
 
 static int progress(struct mo_store *store, void *arguments)
 {
-  /* As for checkpoints of training runs: an error that recurs at the same body prevents
+  /* Same as for checkpoints of training runs: an error that recurs at the same body prevents
    * progress. */
   static const char forgive_sql[] = "UPDATE jobs SET attempts=0 WHERE id=?1 AND attempts>0 AND"
                                     " ?2>(SELECT bodies_done FROM atlases WHERE job=?1)";

@@ -55,7 +55,8 @@ int mo_store_submit_atlas(struct mo_store *store, const struct mo_atlas_request 
 int mo_store_atlas(struct mo_store *store, int64_t id, struct mo_atlas_status *status);
 /* ---- the runner's writes ---- */
 
-/* Makes the writer of a job's file, with the store's system calls: as mo_atlas_writer_create. */
+/* Creates the writer of a job's file, with the store's system calls: like
+ * mo_atlas_writer_create. */
 int mo_store_atlas_writer(struct mo_store *store, const char *name,
                           const struct mo_atlas_source *source,
                           const struct mo_environment *environments, uint32_t n,

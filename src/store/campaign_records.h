@@ -25,7 +25,7 @@ struct mo_study_words {
   char measures[MO_DESIGN_MEASURES_MAX][MO_STUDY_WORD_MAX + 1];
 };
 
-/* Where the robots of a campaign that learns are while they learn. */
+/* Where the robots of a campaign learn. */
 enum mo_worlds {
   MO_WORLDS_RANDOM = 0,       /* each in its own random environment, following a fixed light */
   MO_WORLDS_ENVIRONMENTS = 1, /* each in one of the campaign's environments, drawn at random */

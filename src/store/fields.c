@@ -62,7 +62,7 @@ static const struct mo_field stored_each_rows[] = {
     {"keep_best", MO_FIELD_COUNT, 0, AT(keep_best), .min = 0, .max = MO_TRAINING_DESIGNS_MAX,
      .unit = "", .help = ""},
 };
-/* Of the first two, a training has the second if it has environments of its own. */
+/* Of the first two, a training run has the second if it has its own environments. */
 enum { DRAWN_WORLDS, OWN_WORLDS, EACH, SAMPLE, N_TRAINING_ROWS };
 static const struct mo_field all_training_rows[N_TRAINING_ROWS] = {
     [DRAWN_WORLDS] = {NULL, MO_FIELD_INLINE, 0, 0,

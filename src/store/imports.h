@@ -90,8 +90,8 @@ int mo_store_campaign_members(struct mo_store *store, int64_t id, int64_t genera
 int mo_store_campaign_scores(struct mo_store *store, int64_t id, uint32_t first, uint32_t last,
                              int (*take)(void *context, const struct mo_campaign_score *score),
                              void *context);
-/* Lists the evaluations that recorded designs of this campaign only, and still have all of their
- * recordings: (n) malloc, ascending. *rollouts: number of recorded rollouts. */
+/* Lists the evaluations that recorded only designs of this campaign, with all of their recordings
+ * still stored: (n) malloc, ascending. *rollouts: number of recorded rollouts. */
 int mo_store_campaign_recordings(struct mo_store *store, int64_t id, int64_t **evaluations,
                                  uint32_t *n, uint64_t *rollouts);
 int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64_t id,

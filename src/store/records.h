@@ -1,7 +1,7 @@
 /* records.h: records of jobs that the store returns, and what other records share with them.
  *
  * Times are microseconds since 1970-01-01 UTC; 0 means "not yet". Strings are UTF-8 and always
- * terminated. Lists of genotypes (struct mo_bits) are of the store's workspace. */
+ * terminated. Lists of genotypes (struct mo_bits) belong to the store's workspace. */
 #ifndef MORPHO_STORE_RECORDS_H
 #define MORPHO_STORE_RECORDS_H
 

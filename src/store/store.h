@@ -117,7 +117,7 @@ struct mo_job_query {
   int64_t before;           /* only ids below this; 0: from the newest */
   int state, kind;          /* enum mo_job_state, enum mo_job_kind, or −1 */
   const char *label;        /* only jobs with this label; nullable */
-  bool label_is_prefix;     /* also labels that only begin with it */
+  bool label_is_prefix;     /* also labels that begin with it */
   const char *search;       /* only labels with this text, in either case; nullable */
   const char *experiment;   /* only jobs of this experiment; nullable */
   int archived;             /* 0: only unarchived jobs; 1: only archived jobs; −1: both */

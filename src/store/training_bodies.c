@@ -18,7 +18,7 @@
 struct writing {
   int64_t id;
   const struct mo_training_body *body;
-  const char *name;              /* of the training's controllers */
+  const char *name;              /* of the training run's controllers */
   struct mo_controller_put *put; /* NULL: its controller is not kept */
   /* The kept one that it displaces, if there is one. */
   bool displaces;
@@ -143,7 +143,7 @@ int mo_store_training_body(struct mo_store *store, int64_t id,
     error = mo_checkpoint_write(store, NULL, &call.checkpoint, write_body, &call);
   mo_controller_put_end(store, &put);
   if (error == MO_OK && call.displaces) {
-    /* If something refers to it, it stays; after an error, it is a file without use. */
+    /* If something refers to it, it stays; after an error, it is an unused file. */
     snprintf(displaced, sizeof(displaced), "sha256:%s", MO_SHA256_HEX(&call.displaced_sha256));
     (void)mo_store_controller_delete(store, displaced, &message);
   }

@@ -1,11 +1,11 @@
-/* training_bodies.h: the designs of a training that finetunes each of them alone. Threads and
+/* training_bodies.h: the designs of a training run that finetunes each one separately. Threads and
  * errors as in store.h. */
 #ifndef MORPHO_STORE_TRAINING_BODIES_H
 #define MORPHO_STORE_TRAINING_BODIES_H
 
 #include "store/trainings.h"
 
-/* A design that has learned alone. Scores are mean losses over the held-out environments; NaN: a
+/* A separately trained design. Scores are mean losses over the held-out environments; NaN: a
  * rollout diverged. */
 struct mo_training_body {
   uint32_t position; /* of the design in the request */
@@ -19,13 +19,13 @@ struct mo_training_body {
   struct mo_bits genotype, form;
 };
 
-/* Reads the designs that have learned alone, at positions > after (−1: from the first). */
+/* Reads the separately trained designs at positions > after (−1: from the first). */
 int64_t mo_store_training_bodies(struct mo_store *store, int64_t id, int64_t after,
                                  struct mo_training_body *rows, size_t limit);
 /* Reads only the scores of these designs that are both finite (malloc), in order: zero_shot (n),
  * then finetuned (n). */
 int mo_store_training_pairs(struct mo_store *store, int64_t id, double **pairs, uint32_t *n);
-/* Stores a design that has learned alone, with the event "training.body"; deletes the training's
+/* Stores a separately trained design, with the event "training.body"; deletes the training's
  * checkpoints and resets its attempts. The record says whether the controller, which the bytes
  * encode, is kept: as <name>-<position>. One that is no longer among the best loses its name, and
  * its file is deleted unless something else refers to it. Returns after the commit; MO_ERR_CONFLICT

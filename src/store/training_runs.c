@@ -1,5 +1,5 @@
-/* training_runs.c: writes of a training's runner: steps, checkpoints, code and the end. Writes are
- * fenced as in runs.h. */
+/* training_runs.c: writes of a training run's runner: steps, checkpoints, code and the end. Writes
+ * are fenced as in runs.h. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>

@@ -17,7 +17,7 @@
 
 enum mo_keep { MO_KEEP_NONE = 0, MO_KEEP_ALL = 1 };
 extern const char *const mo_keep_words[];
-/* The settings of a training. They never change after submission. */
+/* The settings of a training run. They never change after submission. */
 struct mo_training_record {
   struct mo_training_settings settings;
   char name[MO_NAME_BYTES_MAX + 1]; /* of the resulting controller; "": "training-<id>" */
@@ -68,7 +68,7 @@ struct mo_training_status {
   struct mo_training_validation_row validation; /* the newest */
   uint32_t checkpoint_step;                     /* the newest; 0: none */
   struct mo_training_lineage code;              /* the code that computed the training */
-  uint32_t bodies_done;                         /* of a training of each design */
+  uint32_t bodies_done;                         /* if each design is trained separately */
 };
 
 /* ---- submission (by jobs) ---- */

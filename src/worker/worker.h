@@ -1,4 +1,4 @@
-/* worker.h: computes leases of a daemon until it is stopped.
+/* worker.h: computes a daemon's leases until it is stopped.
  *
  * mo_worker_run joins the daemon and runs the session; when the connection is lost, it rejoins. A
  * session holds two leases, so that computing never waits for the network: the call that sends

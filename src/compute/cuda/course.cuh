@@ -1,5 +1,5 @@
 /* course.cuh: rollout/course.c for a device: the task of one rollout, computed by one lane, with
- * the functions and structures of course.h. course_back.cuh has what gradients need besides.
+ * the functions and structures of course.h. course_back.cuh has what gradients need in addition.
  *
  * The operations are those of course.c in the same order, in float64, which devices round as CPUs
  * do: the same centers of mass give the same bits. A test without a device compares them; this file
@@ -33,13 +33,13 @@ extern "C" {
 
 /* ---- functions of the CPU's files that devices cannot call ---- */
 
-/* As mo_task_is_plain. */
+/* Like mo_task_is_plain. */
 MO_COURSE bool course_is_plain(const struct mo_task *task)
 {
   return task->guide.kind == MO_GUIDE_FIXED && task->objective == MO_OBJECTIVE_REACH;
 }
 
-/* As mo_fast_sin. */
+/* Like mo_fast_sin. */
 MO_COURSE double course_sin(double x)
 {
   const double sine[8] = {
@@ -60,7 +60,7 @@ MO_COURSE double course_sin(double x)
   return (quadrant & 2) != 0 ? -sum : sum;
 }
 
-/* As mo_fast_exp. */
+/* Like mo_fast_exp. */
 MO_COURSE double course_exp(double x)
 {
   if (x < -700.0)
@@ -73,7 +73,7 @@ MO_COURSE double course_exp(double x)
   return ldexp(sum, (int)n);
 }
 
-/* As mo_distance. */
+/* Like mo_distance. */
 MO_COURSE double course_length(double dx_m, double dy_m)
 {
   double a = fmax(fabs(dx_m), fabs(dy_m)), b = fmin(fabs(dx_m), fabs(dy_m));
@@ -216,7 +216,7 @@ MO_COURSE void course_light_xy(const struct mo_course *course, double t_s,
   }
 }
 
-/* As mo_course_light. */
+/* Like mo_course_light. */
 MO_COURSE void course_light(const struct mo_course *course, double t_s,
                             const struct mo_track *track, double light_m[3])
 {
@@ -225,7 +225,7 @@ MO_COURSE void course_light(const struct mo_course *course, double t_s,
   light_m[2] = terrain_height(&map, course->environment->terrain_heights_m, light_m[0], light_m[1]);
 }
 
-/* As mo_course_begin, for a rollout of n_periods control periods that ends at end_s. */
+/* Like mo_course_begin, for a rollout of n_periods control periods that ends at end_s. */
 MO_COURSE void course_begin(struct mo_course *course, const struct mo_environment *environment,
                             double end_s, uint32_t n_periods, const double com_start_m[3],
                             struct mo_track *track)
@@ -263,7 +263,7 @@ MO_COURSE void course_begin(struct mo_course *course, const struct mo_environmen
   }
 }
 
-/* As mo_course_advance, without the tally. */
+/* Like mo_course_advance, but without the tally. */
 MO_COURSE void course_advance(const struct mo_course *course, double t_s, const double com_m[3],
                               struct mo_track *track)
 {
@@ -297,7 +297,7 @@ MO_COURSE bool course_has_tally(const struct mo_task *task)
   return task->objective > MO_OBJECTIVE_PURSUE;
 }
 
-/* As sum_of_term. */
+/* Like sum_of_term. */
 MO_COURSE unsigned course_need(uint32_t term)
 {
   switch (term) {
@@ -339,7 +339,7 @@ MO_COURSE bool course_counts(const struct mo_course *course, double t_s)
   return t_s >= fmin(MO_JUMP_FROM_S, course->end_s) - 1e-9;
 }
 
-/* As mo_course_advance, from the instant before to that of `track`, which course_advance has
+/* Like mo_course_advance, from the instant before to that of `track`, which course_advance has
  * reached. The smooth maximum of heights is left out: only gradients have it. */
 MO_COURSE void course_add_tally(const struct mo_course *course, double t_s,
                                 const struct mo_track *before, struct mo_track *track)
@@ -378,7 +378,7 @@ struct course_result {
   double loss, value;
 };
 
-/* As mo_course_finish, for a rollout that did not diverge and a task without a tally. */
+/* Like mo_course_finish, for a rollout that did not diverge and a task without a tally. */
 MO_COURSE struct course_result course_finish(const struct mo_course *course,
                                              const struct mo_track *track)
 {

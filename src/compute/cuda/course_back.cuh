@@ -8,7 +8,7 @@
 
 #define COURSE_MEASURE(name) (MO_TERM_MEASURE + MO_MEASURE_##name)
 
-/* As mo_fast_log. */
+/* Like mo_fast_log. */
 MO_COURSE double course_log(double x)
 {
   int exponent;
@@ -89,7 +89,7 @@ MO_COURSE double course_work_kj(double work_j)
   return fmax(work_j, MO_EFFICIENT_LEAST_J) / 1000;
 }
 
-/* As mo_objective_scale. */
+/* Like mo_objective_scale. */
 MO_COURSE double course_loss_scale(const struct mo_course *course)
 {
   switch (course->environment->task.objective) {
@@ -125,7 +125,7 @@ MO_COURSE void course_add_soft(const struct mo_course *course, double t_s,
   tally->soft += course_soft_share(height, tally->peak_m);
 }
 
-/* As mo_course_advance, for any task. */
+/* Like mo_course_advance, for any task. */
 MO_COURSE void course_advance_all(const struct mo_course *course, double t_s, const double com_m[3],
                                   struct mo_track *track)
 {
@@ -151,7 +151,7 @@ MO_COURSE double course_share(const struct mo_course *course, const struct mo_tr
   return course_distance(track->com_m, light_m) / course_far_m(course);
 }
 
-/* As mo_course_value, for terms that have a derivative. */
+/* Like mo_course_value, for terms that have a derivative. */
 MO_COURSE double course_value(const struct mo_course *course, const struct mo_track *track,
                               double work_j, bool soft, uint32_t term)
 {
@@ -183,7 +183,7 @@ MO_COURSE double course_value(const struct mo_course *course, const struct mo_tr
   }
 }
 
-/* As mo_course_finish, or mo_course_soft_loss, for a rollout that did not diverge. */
+/* Like mo_course_finish, or mo_course_soft_loss, for a rollout that did not diverge. */
 MO_COURSE struct course_result course_finish_all(const struct mo_course *course,
                                                  const struct mo_track *track, double work_j,
                                                  bool soft)
@@ -342,7 +342,7 @@ MO_COURSE void course_term_end_back(const struct mo_course *course, const struct
   }
 }
 
-/* As mo_course_end_back. */
+/* Like mo_course_end_back. */
 MO_COURSE void course_end_back(const struct mo_course *course, const struct mo_track *before,
                                const struct mo_track *track, double work_j,
                                struct mo_course_adjoint *adjoint, double d_com[3])
@@ -361,7 +361,7 @@ MO_COURSE void course_end_back(const struct mo_course *course, const struct mo_t
   course_progress_back(track, adjoint, d_com);
 }
 
-/* As mo_course_back. after: at the next instant. */
+/* Like mo_course_back. after: at the next instant. */
 MO_COURSE void course_back(const struct mo_course *course, double t_s,
                            const struct mo_track *before, const struct mo_track *track,
                            const struct mo_track *after, const double d_light[3],
@@ -429,7 +429,7 @@ MO_COURSE void course_term_restart(const struct mo_course *course, double t_s,
   }
 }
 
-/* As mo_course_restart; it does not depend on com_m[2]. */
+/* Like mo_course_restart; it does not depend on com_m[2]. */
 MO_COURSE void course_restart(const struct mo_course *course, double t_s,
                               const struct mo_track *track, const double com_m[3], double weight,
                               struct mo_course_adjoint *adjoint, double d_com[3])

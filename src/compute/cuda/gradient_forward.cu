@@ -466,8 +466,7 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
     }
   }
 
-  /* Returns the velocity of a mass as the springs find it: −0 is what adds nothing to any
-   * number. */
+  /* Returns the velocity of a mass as the springs see it: adding −0 changes no number. */
   __device__ __forceinline__ float unpushed(int m, int axis, float u) const
   {
     const lane_physics of = physics_of(own_row(is_second(m)));

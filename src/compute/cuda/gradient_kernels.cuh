@@ -321,8 +321,8 @@ template <int MT, int SHARE, int TIME> struct walker {
   {
     return lane_terrain{rows[row].heights, TASKS ? &special_of(row).cells : nullptr};
   }
-  /* As lane_strikes, for a mass of this row. Most masses need no more of the terrain, and most
-   * terrains are grids, of which the cells need not be loaded. */
+  /* Like lane_strikes, for a mass of this row. Most masses need nothing else about the terrain, and
+   * most terrains are grids, the cells of which need not be loaded. */
   __device__ __forceinline__ bool strikes_in(int row, const lane_physics &physics, const float *p,
                                              const float *v, float *next) const
   {

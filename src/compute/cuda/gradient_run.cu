@@ -3,7 +3,7 @@
  * The batch is divided into passes of whole shards that fit the device's memory; nearly always, one
  * pass suffices. A pass runs forward over all steps, then backward, which replaces the tape by the
  * operands of the products, and then computes the products. If a row's adjoint turns out not to be
- * finite, the row has contributed until then, so both directions are rerun without it. This is
+ * finite, the row has already contributed by then, so both directions are rerun without it. This is
  * rare. */
 #include "compute/cuda/device.cuh"
 #include "compute/cuda/gradient_pass.h"

@@ -83,7 +83,7 @@ struct mo_gp_row {
   uint32_t n_masses;
 };
 
-/* What rows of a batch have if some of them is special (plan.h). With a task, the row's own light
+/* What rows of a batch have if some of them are special (plan.h). With a task, the row's own light
  * and distances do not apply, but goal.scale_m is that of the course. */
 struct mo_gp_course {
   struct mo_plan_special special;

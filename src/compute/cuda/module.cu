@@ -11,7 +11,7 @@ namespace {
 
 constexpr int kMajor = 8; /* compute capability 8.0 or newer, with enough shared memory */
 
-/* Finds a device that the kernels support, by its number among these. */
+/* Finds a device that the kernels support, by its number among them. */
 int find(uint32_t index, int *ordinal, uint32_t *n)
 {
   int count = 0;

@@ -16,7 +16,7 @@ MO_TERRAIN double observe_height(const struct mo_environment *environment, const
   return com_m[2] - terrain_height(&map, environment->terrain_heights_m, com_m[0], com_m[1]);
 }
 
-/* As mo_observer_begin. */
+/* Like mo_observer_begin. */
 MO_TERRAIN void observe_begin(struct mo_observed_row *row, const struct mo_environment *environment,
                               const double com_start_m[3])
 {
@@ -28,7 +28,7 @@ MO_TERRAIN void observe_begin(struct mo_observed_row *row, const struct mo_envir
   row->peak_height_m = observe_height(environment, com_start_m);
 }
 
-/* As turns_between. */
+/* Like turns_between. */
 MO_TERRAIN int observe_turns(const double from[2], const double to[2])
 {
   const double cross = from[0] * to[1] - from[1] * to[0];
@@ -39,7 +39,7 @@ MO_TERRAIN int observe_turns(const double from[2], const double to[2])
   return cross > 0 ? 1 : 0;
 }
 
-/* As mo_observe. */
+/* Like mo_observe. */
 MO_TERRAIN void observe_pose(struct mo_observed_row *row, const struct mo_environment *environment,
                              const double com_m[3], const double turn[2])
 {

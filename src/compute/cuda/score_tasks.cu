@@ -1,4 +1,4 @@
-/* score_tasks.cu: as score.cu, for launches in which some row is special. */
+/* score_tasks.cu: like score.cu, but for launches in which some row is special. */
 #define MO_CUDA_TASKS
 #include "compute/cuda/score_think_narrow.cuh"
 

@@ -1,4 +1,4 @@
-/* score_wide_tasks.cu: as score_wide.cu, for launches in which some row is special. */
+/* score_wide_tasks.cu: like score_wide.cu, but for launches in which some row is special. */
 #define MO_CUDA_TASKS
 #include "compute/cuda/score_think_wide.cuh"
 

@@ -34,7 +34,7 @@ MO_TERRAIN struct terrain_map terrain_map_of_grid(void)
   return map;
 }
 
-/* As mo_terrain_map_of. */
+/* Like mo_terrain_map_of. */
 MO_TERRAIN struct terrain_map terrain_map_of(const struct mo_environment *environment)
 {
   struct terrain_map map = terrain_map_of_grid();
@@ -72,7 +72,7 @@ MO_TERRAIN struct terrain_place terrain_place_of(const struct terrain_axis *axis
   return place;
 }
 
-/* As mo_terrain_height. */
+/* Like mo_terrain_height. */
 MO_TERRAIN double terrain_height(const struct terrain_map *map, const double *heights_m, double x_m,
                                  double y_m)
 {
@@ -84,7 +84,7 @@ MO_TERRAIN double terrain_height(const struct terrain_map *map, const double *he
   return near + y.fraction * (far - near);
 }
 
-/* As mo_terrain_gradient. */
+/* Like mo_terrain_gradient. */
 MO_TERRAIN void terrain_slope(const struct terrain_map *map, const double *heights_m, double x_m,
                               double y_m, double slope[2])
 {
