@@ -94,7 +94,7 @@ void check_measures_short(struct mo_device_controller *controller, uint32_t n_st
   drop_measured(&m);
 }
 
-/* Whole lives, which part in the end: medians. */
+/* Whole rollouts, which drift apart in the end: medians. */
 static void check_lives(struct mo_device_controller *controller, const struct mo_physics *physics)
 {
   struct measured m = make_measured(LIVES, 20251109);
@@ -132,9 +132,10 @@ static void check_objectives(struct mo_device_controller *controller, struct mo_
   struct measured m = make_measured(4 * OBJECTIVE_CASES, 20251111);
   uint32_t parted = 0, worst = 0;
   double most = 0;
-  physics.constants.friction = 0.5; /* bodies slide, so that `efficient` has way to count */
+  physics.constants.friction = 0.5; /* bodies slide, so that `efficient` has distance to count */
   physics.constants.drag_per_s = 6;
-  physics.scheme.n_steps = 100; /* longer ones part by chaos, most with long control periods */
+  physics.scheme.n_steps =
+      100; /* longer ones drift apart by chaos, most with long control periods */
   for (uint32_t i = 0; i < m.g.n; i++) {
     if (i % 8 < 6)
       set_objective(&m.g.environments[i], i % OBJECTIVE_CASES);

@@ -107,7 +107,7 @@ void check_tasks_short(struct mo_device_controller *controller, uint32_t n_steps
   drop_guided(&g);
 }
 
-/* Whole lives, which part in the end: medians, and the mean of the values. */
+/* Whole rollouts, which drift apart in the end: medians, and the mean of the values. */
 static void check_lives(struct mo_device_controller *controller, const char *name,
                         const struct mo_physics *physics)
 {

@@ -232,7 +232,7 @@ static void time_all(struct mo_device_controller *controller)
   free_bodies(bodies, N);
 }
 
-/* As time_all, for the settings of accuracy.c. */
+/* Like time_all, but for the settings of accuracy.c. */
 static void time_settings(struct mo_device_controller *controller)
 {
   enum { N = 8192, TIMED = 2, INTEGRATORS = 2, PERIODS = 3, DTS = 4 };

@@ -1,7 +1,7 @@
 /* evolution.c: the cost of a campaign's bookkeeping, without its rollouts; `morpho-bench
  * evolution`.
  *
- * Variation of a real population against a set of as many forms as a large pretraining has,
+ * Variation of a real population against a set of as many forms as a large pretraining run has,
  * selection and statistics are real. Only the scores do not come from rollouts, but from an
  * artificial landscape over the voxels. They are heritable, so that the population converges and
  * children that were seen before become frequent, as in a real campaign. With --store, each
@@ -224,7 +224,7 @@ static void advance(struct evolution *evolution, uint32_t generation)
               "statistics");
   *seconds[STATISTICS] += bench_now_s() - start;
   if (evolution->campaign !=
-      NULL) { /* the other arrays now hold parents and children as they were before the selection */
+      NULL) { /* the other arrays now hold parents and children as they were before selection */
     const struct bench_generation stored = {generation,
                                             n_parents,
                                             evolution->n_children,

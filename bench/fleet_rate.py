@@ -3,7 +3,7 @@
 computes nothing (compute=fleet), and a worker here answers every lease immediately with the same
 row. All of the daemon's work is real: queues, leases, the messages with their digests, and the
 store. The measurement ends when the last evaluation has succeeded, that is, when its last score is
-committed. With --gradients, it measures a training; each shard gets a canned sum of 5 MB."""
+committed. With --gradients, it measures a training run; each shard gets a canned sum of 5 MB."""
 import argparse
 import json
 import pathlib
@@ -89,7 +89,7 @@ class Canned(threading.Thread):
 
 
 def train(service, steps):
-    """Submits a training with many shards per step, on bodies that need not be drawn."""
+    """Submits a training run with many shards per step, on bodies that need not be drawn."""
     drawn = service.post("/v1/bodies/random", {"count": SHARD, "seed": 1})["items"]
     return [service.post("/v1/trainings", {
         "kind": "finetune", "name": "canned", "steps": steps, "batch": BATCH,

@@ -6,9 +6,9 @@ until such a request is accepted, that is, durable, when idle and under load? Wh
 /healthz over 64 connections without pauses? How long does one interactive design take from the
 request to its score?
 
-shares: a batch evaluation of 10,000 designs, a training and four zero-shot campaigns, with
+shares: a batch evaluation of 10,000 designs, a training run and four zero-shot campaigns, with
 different weights. Does each get its share of the cores, and do small evaluations keep their speed?
-The rollouts of the training are short: a block of gradients over 1000 steps takes seconds, so a
+The rollouts of the training run are short: a block of gradients over 1000 steps takes seconds, so a
 fair measurement would take many minutes."""
 import argparse
 import json

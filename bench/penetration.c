@@ -2,7 +2,7 @@
  *
  * Nothing in the model keeps the parts of a body apart: masses touch the terrain, not each other.
  * This measures how often and how far evolution uses that. Each body is simulated with the default
- * physics in the paper's test set; at the start of each control period, every mass that is no
+ * physics in the paper's test set; at the start of each control period, every mass that is not a
  * corner of a voxel is looked for in it. A voxel is the trilinear image of the unit cube that its
  * corners span; the depth of a mass is the distance of its local coordinates to the nearest face,
  * as a share of the edge: at most 0.5, also for a mass that went further. Masses within NEAR of a

@@ -1,5 +1,5 @@
-/* stream.c: the distinct bodies of a pretraining; `morpho-bench stream [bodies]`. Draws as a
- * training does, without held-out forms, and reports the time and the memory of the set of seen
+/* stream.c: the distinct bodies of a pretraining run; `morpho-bench stream [bodies]`. Draws as a
+ * training run does, without held-out forms, and reports the time and the memory of the set of seen
  * bodies. */
 #include "bench.h"
 

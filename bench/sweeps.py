@@ -47,7 +47,7 @@ def name(panel, place, text, color):
 
 
 def front(points):
-    """The points than which no other takes less time and has a smaller error."""
+    """The points for which no other takes less time and has a smaller error."""
     best, least = [], math.inf
     for point in sorted(points):
         if point[1] < least:

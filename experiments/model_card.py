@@ -1,10 +1,10 @@
 """Scores a controller through the daemon on bodies that no pretraining draws, and writes the
 information that users need into its page.
 
-Writes tables by size of the body (environments of the training's distribution), by roughness of the
-terrain and by distance of the light. Values beyond the training's range are marked. A score is the
-distance to the light at the end divided by that at the start: the mean over bodies of their means
-over environments. Its 95 % confidence interval is a bootstrap over the bodies. Rollouts that
+Writes tables by size of the body (environments of the training run's distribution), by roughness of
+the terrain and by distance of the light. Values beyond the training run's range are marked. A score
+is the distance to the light at the end divided by that at the start: the mean over bodies of their
+means over environments. Its 95 % confidence interval is a bootstrap over the bodies. Rollouts that
 diverge are counted, but left out of the means. Text outside the markers is kept."""
 import json
 import math

@@ -1,10 +1,11 @@
 """Pretrains controllers through the daemon, at the paper's scale by default, and reports and draws
 how they learn.
 
-One call trains one recipe with some seeds, one training after the other. The state folder is kept:
-when called again, the program continues where it stopped, and yields the same numbers. A row of the
-CSV file is a step or a validation; the file collects rows of many recipes. A training is not rerun,
-even without its state, if all its rows are in the CSV file and its controller is in the folder."""
+One call trains one recipe with some seeds, one training run after the other. The state folder is
+kept: when called again, the program continues where it stopped, and yields the same numbers. A row
+of the CSV file is a step or a validation; the file collects rows of many recipes. A training run is
+not rerun, even without its state, if all its rows are in the CSV file and its controller is in the
+folder."""
 import bisect
 import hashlib
 import sys
@@ -200,8 +201,8 @@ def progress_of(training, recipe):
 
 
 def run(arguments):
-    """Returns whether all trainings have ended. The rows of an unfinished training are written as
-    well."""
+    """Returns whether all training runs have ended. The rows of an unfinished training run are
+    written as well."""
     deadline = Deadline(arguments.limit_s)
     known = records.read(arguments.csv, TEXTS)
     bodies = [request_of(arguments, seed) for seed in arguments.seeds]
@@ -273,7 +274,7 @@ def seconds_until(group, bound):
 
 
 def summary(group):
-    """Returns the numbers of one training for the tables."""
+    """Returns the numbers of one training run for the tables."""
     curve = losses(group)
     steps = [row for row in group if row["row"] == "step"]
     validations = [row for row in group if row["row"] == "validation" and row["loss"] is not None]

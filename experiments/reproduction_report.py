@@ -277,8 +277,8 @@ def own_line(name, experiment, loss, length, size, minutes, gpus):
 
 
 def comparison(kept, rows, pretrained, best):
-    """Returns the table that compares with the paper. pretrained: all trainings; the table has only
-    the best recipe and the paper's, and another table of the page has all."""
+    """Returns the table that compares with the paper. pretrained: all training runs; the table has
+    only the best recipe and the paper's, and another table of the page has all."""
     lines = [paper_line("pretraining")] if pretrained else []
     for (recipe, device), group in records.group(pretrained, "recipe", "device").items():
         if recipe != best[0]["recipe"] and not recipe.startswith(PAPER_RECIPE):

@@ -10,8 +10,8 @@ import { callerName, whoAmI, whyNot } from './lib/rights.js';
 import { TASKS, taskOf } from './lib/tasks.js';
 import { tray } from './lib/tray.js';
 
-/** The views; under: the entry of the bar for a view that has none; hasTask: its scores are of the
- * task in the bar. */
+/** The views; under: the entry in the bar to mark for a view that has none; hasTask: its scores are
+ * for the task in the bar. */
 const VIEWS = {
   home: { name: 'Home', module: './views/home.js', title: 'Home', hasTask: true },
   overview: { name: 'Service', module: './views/overview.js' },
@@ -87,7 +87,7 @@ export const app = {
   task: taskOf(storing(() => sessionStorage.getItem(TASK_KEY))) ?? TASKS[0],
   /** The newest notable events, oldest first. */
   recent: [],
-  /** Whether those before this page have been loaded. */
+  /** Whether events from before this page have been loaded. */
   knowsRecent: false,
   /** Called with the theme after each change. */
   themeListeners: new Set(),
@@ -419,7 +419,8 @@ class Frame {
     return this.following;
   }
 
-  /** Starts to stream what follows that event, once. The first view sends its requests before. */
+  /** Starts to stream what follows that event, once. The first view sends its requests before
+   * that. */
   #stream() {
     const { since } = this;
     if (since === undefined || this.isStreaming) return;

@@ -1,4 +1,4 @@
-/** Starts to load the modules of the view in the address while those of the frame are on their way
+/** Starts to load the modules of the view in the address while those of the frame are still loading
  * (index.html lists both) and, for views that always show robots, to compile the stage. */
 
 (() => {

@@ -39,8 +39,8 @@ def array(name: str, data: bytes) -> list[str]:
 
 
 def without_comments(name: str, text: str) -> str:
-    """Empties the lines that have nothing but a comment, and removes indentation. The latter must
-    mean nothing in a template literal, either; lines keep their numbers."""
+    """Empties the lines that have nothing but a comment, and removes indentation, which must not
+    matter in a template literal, either; lines keep their numbers."""
     lines, inside = [], False
     for number, line in enumerate(text.split("\n"), 1):
         bare = line.strip()
@@ -62,7 +62,7 @@ def inlined(page: str) -> set[str]:
 
 
 def parted(source: str) -> tuple[list[str], str]:
-    """Parts a module from its imports. esbuild then keeps the names, because they could be
+    """Separates a module from its imports. esbuild then keeps the names, because they could be
     anything; most are used too rarely for an alias to make the compressed file smaller."""
     imports = [re.sub(r"(?<=[{,])\s+|,?\s*(})\s*| (?=[{'])", r"\1", found).replace("'", '"')
                for found in re.findall(IMPORT, source, re.MULTILINE)]
@@ -87,7 +87,7 @@ def minify(esbuild: str, files: dict[str, bytes]) -> dict[str, bytes]:
 
 def dense(text: str) -> str:
     """Removes spaces and ends of lines in the shaders, which are template literals, so that esbuild
-    leaves them as they are. `- -1.0` is no decrement, so those stay apart, as do lines of the
+    leaves them as they are. `- -1.0` is not a decrement, so those stay apart, as do lines of the
     preprocessor."""
     def without_spaces(shader: re.Match) -> str:
         lines = [line if line.startswith("#") else re.sub(

@@ -84,7 +84,7 @@ static void recompute(struct ctl *ctl, const char *id, int64_t n)
   if (!ctl->quiet)
     print_plain_line(stderr,
                      "campaign %s: of %s the scores of %" PRId64 " agree bit for bit, %" PRId64
-                     " differ, %" PRId64 " are of another class",
+                     " differ, %" PRId64 " belong to another class",
                      id, MO_COUNTED((uint64_t)(agree + differ + unknown), "design"), agree, differ,
                      unknown);
   if (differ > 0)

@@ -16,7 +16,7 @@ static void check_form(const struct ctl *ctl)
 
 /* ---- the report ---- */
 
-/* Prints text of the server in lines, each after `indent` spaces. */
+/* Prints text from the server in lines, each after `indent` spaces. */
 static void print_wrapped(int indent, const char *text)
 {
   char *plain = need(plain_text(text));
@@ -72,7 +72,7 @@ static void print_report(const struct ctl *ctl, const json_t *report)
   static const struct fact facts[] = {
       {"certificate", "{id}[{complete=false}, incomplete: only the levels so far]"},
       {"controller", CONTROLLER_WORDS("controller", "")},
-      {"environments", "[{environments}|{environments.count} of the request]"},
+      {"environments", "[{environments}|{environments.count} from the request]"},
       {"physics", "{physics.n_steps} steps of {physics.dt_s:g} s, integrator {physics.integrator}"},
       {"class", "[{classes}]"},
       {"seed", "{seed}"},

@@ -40,7 +40,7 @@ static void print_job(const struct ctl *ctl, const json_t *job)
       {NULL, NULL}};
   static const struct fact evaluation[] = {
       {"controller", CONTROLLER_WORDS("controller", "")},
-      {"environments", "[{environments}|{environments.count} of the request]"},
+      {"environments", "[{environments}|{environments.count} from the request]"},
       {"precision", "{precision}"},
       {"physics",
        "{physics.n_steps} steps of {physics.dt_s:g} s, integrator {physics.integrator}, impact "

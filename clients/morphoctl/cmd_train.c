@@ -49,7 +49,7 @@ static void fill_designs(struct ctl *ctl, bool finetune, json_t *request)
                        "--atlas are for train start finetune");
   if (finetune && n_sources != 1)
     fail(STATUS_USAGE, "finetune learns on designs (files, --random N), on a --population, or on "
-                       "bodies of an --atlas: give one of the three");
+                       "bodies from an --atlas: give one of the three");
   if (best > 0 && population == NULL)
     fail(STATUS_USAGE, "--best needs --population");
   if (population != NULL) {

@@ -1,5 +1,5 @@
 /* cmd_train_compare.c: train compare: compares two controllers on one held-out set, rollout by
- * rollout. A trained controller carries the settings of its training, even if it came from
+ * rollout. A trained controller carries the settings of its training run, even if it came from
  * elsewhere; settings that differ are listed, because they may explain the difference in scores. */
 #include <inttypes.h>
 #include <math.h>
@@ -17,7 +17,7 @@
 struct side {
   const char *name;     /* as given */
   const json_t *about;  /* the controller */
-  const json_t *recipe; /* the settings of its training; NULL if they are not in its file */
+  const json_t *recipe; /* the settings of its training run; NULL if they are not in its file */
   const json_t *evaluation;
   double *losses; /* (n, n_environments); NaN if the rollout diverged */
   size_t n, n_environments;
@@ -114,7 +114,7 @@ static void score_side(struct ctl *ctl, const json_t *held_out, struct side *sid
   {
     const json_t *losses = json_object_get(result, "losses");
     if (json_array_size(losses) != side->n_environments)
-      fail(STATUS_ERROR, "the server's reply has %zu losses of a design, expected %zu",
+      fail(STATUS_ERROR, "the server's reply has %zu losses for a design, expected %zu",
            json_array_size(losses), side->n_environments);
     for (size_t k = 0; k < side->n_environments; k++) {
       const json_t *loss = json_array_get(losses, k);

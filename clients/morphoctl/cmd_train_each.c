@@ -1,4 +1,5 @@
-/* cmd_train_each.c: train each: the designs of a training that finetuned each of them alone. */
+/* cmd_train_each.c: train each: the designs of a training run that finetuned each one
+ * separately. */
 #include "commands.h"
 
 static void print_summary(const struct ctl *ctl, const json_t *summary)

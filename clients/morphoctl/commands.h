@@ -129,7 +129,7 @@ void print_differences(const struct ctl *ctl, const json_t *different);
 void act(struct ctl *ctl, struct request request, const char *words);
 /* Writes a head and bytes to a file, or to standard output ("-"). */
 void save_output(const char *path, const void *head, size_t head_n, const void *bytes, size_t n);
-/* Saves the reply to a GET in the same way, and reports its size. Files of CSV must be named so. */
+/* Saves the reply to a GET in the same way, and reports its size. CSV files must be named .csv. */
 void save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output);
 
 /* Passes the items of a paged list to `take` in order, up to `limit` (0 = all), and after number

@@ -1,4 +1,4 @@
-/* common.c: helpers of several commands: JSON, facts, files, paged lists. */
+/* common.c: helpers for several commands: JSON, facts, files, paged lists. */
 #include <errno.h>
 #include <inttypes.h>
 #include <math.h>

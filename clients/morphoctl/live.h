@@ -79,7 +79,7 @@ const char *event_words(const char *type);
 #define CAMPAIGN_NOW_WORDS                                                                         \
   "[{phase!=idle:-}[generation {progress.under_way:,}: ]{phase}"                                   \
   "[{phase=scoring}" DONE_WORDS " designs|{phase=learning}" DONE_WORDS " steps"                    \
-  "|{phase=preparing}" DONE_WORDS " bodies of the pretraining]"                                    \
+  "|{phase=preparing}" DONE_WORDS " pretraining bodies]"                                           \
   "[  {progress.rollouts_per_s>0:.0f} rollouts/s]"                                                 \
   "[  {progress.seconds_left:duration}"                                                            \
   "[{phase!=preparing:-} left|{progress.generation>0:-} left| until they are drawn]]]"

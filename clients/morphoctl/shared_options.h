@@ -1,4 +1,4 @@
-/* shared_options.h: options of several commands, for the tables of commands. */
+/* shared_options.h: options that several commands share, for the tables of commands. */
 #ifndef MORPHOCTL_SHARED_OPTIONS_H
 #define MORPHOCTL_SHARED_OPTIONS_H
 
@@ -68,7 +68,7 @@
   }
 #define LABEL      "label", 'l', "TEXT", "A label to find the job by.", "label"
 #define EXPERIMENT "experiment", 0, "NAME", "Experiment that the job belongs to.", "experiment"
-/* Options of both commands that start long jobs. */
+/* Options for both commands that start long jobs. */
 #define OF_LONG_JOBS(job, command)                                                                 \
   {"priority", 0, "interactive|batch", "Default: batch.", "priority"}, {WEIGHT}, {DEVICE},         \
       {LABEL}, {EXPERIMENT},                                                                       \

@@ -17,7 +17,7 @@ static const struct option_spec eval_options[] = {
      "Score N random bodies in addition to any given ones: up to 10,000, or 1,000,000 if none are "
      "given."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
-    {"first", 0, "N", "Start with this body of the seed's 1,000,000 (default: 0)."},
+    {"first", 0, "N", "Index of the first of the seed's 1,000,000 bodies (default: 0)."},
     {"record", 0, "LIST",
      "What to record, separated by commas: com (the center of mass), masses, actuation (of each "
      "spring), contacts (with the ground)."},
@@ -113,7 +113,7 @@ static const struct option_spec picture_options[] = {
 static const struct option_spec random_options[] = {
     {"count", 'n', "N", "Number of bodies, up to 10,000 (default: 1).", "count", FIELD_WHOLE},
     {SEED},
-    {"first", 0, "N", "Start with this body of the seed's 1,000,000 (default: 0).", "first",
+    {"first", 0, "N", "Index of the first of the seed's 1,000,000 bodies (default: 0).", "first",
      FIELD_WHOLE},
     {NULL}};
 static const struct option_spec mutate_options[] = {
@@ -159,9 +159,9 @@ static const struct option_spec train_start_options[] = {
      "campaign, best first."},
     {"best", 0, "N", "Only the N best of the population (default: all)."},
     {"atlas", 0, "NAME",
-     "finetune: bodies of the whole ranking of an atlas, one from each of --count equally large "
+     "finetune: bodies from the whole ranking of an atlas, one from each of --count equally large "
      "parts."},
-    {"count", 0, "N", "Number of bodies of the atlas, 1 to 10000."},
+    {"count", 0, "N", "Number of bodies from the atlas, 1 to 10000."},
     {"atlas-seed", 0, "SEED", "Decides which body of each part is drawn (default: 1)."},
     {"each", 0, NULL,
      "finetune: each design learns individually, starting from the same controller, and is scored "
@@ -185,11 +185,11 @@ static const struct option_spec train_start_options[] = {
     {"validate-every", 0, "STEPS",
      "Score the held-out set every STEPS steps; 0: never (default: 50).", "validation.every_steps",
      FIELD_WHOLE},
-    {"validation-designs", 0, "N", "Designs of the held-out set (default: 64).",
+    {"validation-designs", 0, "N", "Number of designs in the held-out set (default: 64).",
      "validation.designs", FIELD_WHOLE},
     {"validation-environments", 0, "N",
-     "Environments of the held-out set (default: 8). Not with --environments: validation then uses "
-     "all of them.",
+     "Number of environments in the held-out set (default: 8). Not with --environments: validation "
+     "then uses all of them.",
      "validation.environments", FIELD_WHOLE},
     {"checkpoint-steps", 0, "N", "Save the state every N steps; 0: only by time (default: 0).",
      "checkpoint.every_steps", FIELD_WHOLE},
@@ -219,8 +219,8 @@ static const struct option_spec train_prune_options[] = {
     {"step", 0, "N", "Only the checkpoint of this step."}, {NULL}};
 static const struct option_spec train_compare_options[] = {
     {"seed", 0, "SEED", "Seed of the held-out set (default: 1)."},
-    {"designs", 'd', "N", "Designs of the set, 2 to 1,000 (default: 64)."},
-    {"environments", 0, "N", "Environments of each design, 1 to 64 (default: 16)."},
+    {"designs", 'd', "N", "Number of designs in the set, 2 to 1,000 (default: 64)."},
+    {"environments", 0, "N", "Number of environments per design, 1 to 64 (default: 16)."},
     {PHYSICS},
     {NULL}};
 static const struct option_spec campaign_start_options[] = {
@@ -377,7 +377,7 @@ static const struct option_spec suite_options[] = {
     {"count", 'n', "N", "With --campaign: number of champions, 1 to 1000 (default: 12)."},
     {"random", 0, "N", "Score N random bodies in addition to the given ones."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
-    {"first", 0, "N", "Start with this body of the seed's 1,000,000 (default: 0)."},
+    {"first", 0, "N", "Index of the first of the seed's 1,000,000 bodies (default: 0)."},
     {"no-wait", 0, NULL, "Print the id as soon as the evaluation is stored."},
     {WEIGHT},
     {DEVICE},
@@ -452,7 +452,7 @@ const struct command commands[] = {
     {"job cancel", "ID...", "Cancel jobs.", run_job_change, "Scores stored so far are kept."},
     {"job pause", "ID...", "Pause jobs.", run_job_change},
     {"job resume", "ID...", "Resume paused jobs.", run_job_change,
-     "This includes failed trainings and campaigns."},
+     "This includes failed training runs and campaigns."},
     {"job prune", "ID...", "Delete the recordings of evaluations that have ended.", run_job_prune,
      "Scores are kept. The server deletes the oldest recordings automatically when all of them "
      "exceed its limit (max_recordings)."},
@@ -487,39 +487,39 @@ const struct command commands[] = {
     {"train start", "pretrain|finetune [DESIGN]...", "Train a controller.", run_train_start,
      "pretrain: from random weights or a controller, on an endless stream of distinct random "
      "bodies. finetune: a controller, on the designs given (as those of eval), on random ones, on "
-     "a population, or on bodies of an atlas. The training is a job of the server, which continues "
-     "without morphoctl, "
-     "and after a crash.",
+     "a population, or on bodies from an atlas. The training run is a job of the server, which "
+     "continues without morphoctl, and after a crash.",
      train_start_options, &training_kind},
-    {"train list", "", "List trainings, newest first.", run_list, NULL, train_list_options},
-    {"train show", "ID", "Show a training with its curve.", run_live_show, NULL, NULL,
+    {"train list", "", "List training runs, newest first.", run_list, NULL, train_list_options},
+    {"train show", "ID", "Show a training run with its curve.", run_live_show, NULL, NULL,
      &training_kind},
-    {"train watch", "ID", "Watch a training until it ends.", run_live_watch,
+    {"train watch", "ID", "Watch a training run until it ends.", run_live_watch,
      "Shows a live plot on a terminal, otherwise a line per event; with --json, the events. Ctrl-C "
-     "leaves the training running. Exit status: 0 if it succeeded, 3 if not.",
+     "leaves the job running. Exit status: 0 if it succeeded, 3 if not.",
      NULL, &training_kind},
-    {"train pause", "ID...", "Pause trainings, with a checkpoint.", run_job_change},
-    {"train resume", "ID...", "Resume trainings that are paused or have failed.", run_job_change},
+    {"train pause", "ID...", "Pause training runs, with a checkpoint.", run_job_change},
+    {"train resume", "ID...", "Resume training runs that are paused or have failed.",
+     run_job_change},
     {"train cancel", "ID...", "Cancel trainings.", run_job_change,
      "Checkpoints are kept; train export fetches their controllers."},
-    {"train export", "ID", "Fetch a training's controller, final or so far, and its curves.",
+    {"train export", "ID", "Fetch a training run's controller, final or so far, and its curves.",
      run_train_export, NULL, train_export_options},
-    {"train each", "ID", "Show the designs that a training finetuned individually.", run_train_each,
-     "For a training of train start finetune --each: the score of each design with the controller "
-     "that it started from, and with the controller that it learned, and how well the first "
-     "predicts the second (Kendall's tau-b), with 95 % confidence intervals. Lower scores are "
-     "better.",
+    {"train each", "ID", "Show the designs that a training run finetuned individually.",
+     run_train_each,
+     "For a run of train start finetune --each: the score of each design with the controller that "
+     "it started from, and with the controller that it learned, and how well the first predicts "
+     "the second (Kendall's tau-b), with 95 % confidence intervals. Lower scores are better.",
      train_each_options},
     {"train prune", "ID...", "Delete checkpoints that are not needed.", run_job_prune,
-     "Deletes all checkpoints of a finished training, because its result is a separate controller; "
-     "otherwise all but the newest, which is needed to resume. A checkpoint takes 12.4 MB. Deleted "
-     "checkpoints can no longer be exported.",
+     "Deletes all checkpoints of a finished training run, because its result is a separate "
+     "controller; otherwise all but the newest, which is needed to resume. A checkpoint takes 12.4 "
+     "MB. Deleted checkpoints can no longer be exported.",
      train_prune_options},
     {"train compare", "A B", "Compare two controllers on held-out designs.", run_train_compare,
      "Scores both controllers on designs and environments that are never used for pretraining, and "
      "shows the mean difference with its 95 % confidence interval (Student t), which holds for "
-     "other designs in other environments. Lower scores are better. Settings of their trainings "
-     "that differ are listed.",
+     "other designs in other environments. Lower scores are better. Settings of their training "
+     "runs that differ are listed.",
      train_compare_options},
     {"campaign start", "zero-shot|few-shot|simultaneous|study [DESIGN]...", "Evolve a population.",
      run_campaign_start,
@@ -533,7 +533,7 @@ const struct command commands[] = {
      &campaign_kind},
     {"campaign watch", "ID", "Watch a campaign until it ends.", run_live_watch,
      "Shows live curves and a table on a terminal, otherwise a line per generation; with --json, "
-     "the events. Ctrl-C leaves the campaign running. Exit status: 0 if it succeeded, 3 if not.",
+     "the events. Ctrl-C leaves the job running. Exit status: 0 if it succeeded, 3 if not.",
      NULL, &campaign_kind},
     {"campaign pause", "ID...", "Pause campaigns.", run_job_change},
     {"campaign resume", "ID...", "Resume campaigns that are paused or have failed.",

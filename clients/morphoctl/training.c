@@ -136,7 +136,7 @@ static void print(struct live *live)
                 "sha256 {settings.population.sha256}]"},
       {"each", "[{settings.each=true}learns alone; controllers kept: [the best {settings.best}"
                "|{settings.keep}]; {progress.bodies_done:,} of {progress.bodies:,} done]"},
-      {"worlds", "[{settings.environments}|{settings.environments.count} of the request"
+      {"worlds", "[{settings.environments}|{settings.environments.count} from the request"
                  "|{settings.tasks:#} tasks in random terrains]"},
       {"varies", VARY_WORDS("settings.vary.")},
       {"schedule", "{settings.schedule.kind}, {settings.schedule.peak:.4g} down to "

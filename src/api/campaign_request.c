@@ -317,7 +317,7 @@ static void check_aggregate(struct mo_json *json, const struct mo_parsed_campaig
                      word);
   if (!mo_aggregate_is_monotone(aggregate) && (int)record->settings.racing == MO_RACING_LOSSLESS)
     mo_json_fault_at(json, 0, "/racing",
-                     "a race needs lower bounds of scores, and \"%s\" has none, so the campaign "
+                     "a race needs lower bounds on scores, and \"%s\" has none, so the campaign "
                      "cannot race; request \"off\", or leave it out",
                      word);
   if (aggregate->kind == MO_AGGREGATE_MEAN_SD && parsed->parts.environments != NULL &&

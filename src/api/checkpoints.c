@@ -52,14 +52,14 @@ void mo_api_delete_checkpoints(struct mo_request *request)
                                                 (uint32_t)step, &removed);
   if (one && error == MO_ERR_NOT_FOUND) {
     mo_reply_problem(request, 404, NULL,
-                     "The training has no checkpoint of this step; GET "
+                     "The training run has no checkpoint of this step; GET "
                      "/v1/trainings/%lld/checkpoints lists its checkpoints.",
                      (long long)id);
   } else if (one && error == MO_ERR_CONFLICT) {
     mo_reply_problem(request, 409, NULL,
-                     "The training has not ended. After a restart or a pause, it would continue "
-                     "from its newest checkpoint, at step %lld. Delete the checkpoint after the "
-                     "training has ended or was cancelled.",
+                     "The training run has not ended. After a restart or a pause, it would "
+                     "continue from its newest checkpoint, at step %lld. Delete the checkpoint "
+                     "after the run has ended or was cancelled.",
                      (long long)step);
   } else if (error != MO_OK) {
     mo_reply_error(request, error, mo_job_kind_name(kind->kind));

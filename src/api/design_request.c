@@ -349,10 +349,11 @@ static void check_population(struct mo_json *json, unsigned depth,
                      "must have exactly one of evaluation (its designs)%s campaign (its newest "
                      "population)%s",
                      sample != NULL ? "," : " and",
-                     sample != NULL ? " and atlas (bodies of its whole ranking)" : "");
+                     sample != NULL ? " and atlas (bodies from its whole ranking)" : "");
   else if (has_atlas && population->best > 0)
     mo_json_fault_at(json, depth, "/best",
-                     "cannot be combined with atlas, which has count bodies of its whole ranking");
+                     "cannot be combined with atlas, which takes count bodies from its whole "
+                     "ranking");
   else if (has_atlas && sample->count == 0)
     mo_json_fault_at(json, depth, "", "count is missing; it must be the number of bodies, 1 to %d",
                      MO_ATLAS_SAMPLE_MAX);

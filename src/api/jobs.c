@@ -277,11 +277,11 @@ static void write_deleted(struct mo_text *text, const union mo_job_status *statu
                             job->kind == MO_JOB_TRAINING ? status->training.record.name
                                                          : status->campaign.record.name,
                             made));
-    write_staying(text, what, "it has its own name, by which it can be deleted");
+    write_staying(text, what, "it has its own name; use that name to delete it");
   }
   if (job->kind == MO_JOB_ATLAS && job->state == MO_JOB_SUCCEEDED) {
     snprintf(what, sizeof(what), "atlas %s", status->atlas.record.name);
-    write_staying(text, what, "it has its own name, by which it can be deleted");
+    write_staying(text, what, "it has its own name; use that name to delete it");
   }
   mo_text_add(text, "]}");
 }

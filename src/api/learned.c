@@ -43,7 +43,7 @@ static int export_checkpoint(struct mo_api *api, const struct mo_training_status
   return code == MO_ERR_FORMAT ? MO_ERR_CORRUPT : code;
 }
 
-/* Replies that the file of the training's result, or of a checkpoint (step 0: the newest), is
+/* Replies that the file of the training run's result, or of a checkpoint (step 0: the newest), is
  * missing or damaged, and does not match its row. */
 static void reply_damaged(struct mo_request *request, const struct mo_training_status *status,
                           bool result, uint32_t step)
@@ -82,7 +82,7 @@ void mo_api_get_training_controller(struct mo_request *request)
   }
   if (status.record.each) {
     mo_reply_problem(request, 404, NULL,
-                     "The training has one controller per design and no single result; GET "
+                     "The training run has one controller per design and no single result; GET "
                      "/v1/trainings/%lld/each lists the designs and the stored controllers.",
                      (long long)id);
     return;
@@ -95,14 +95,14 @@ void mo_api_get_training_controller(struct mo_request *request)
     code = export_checkpoint(api, &status, (uint32_t)step, &bytes, &size, &at);
   if (code == MO_ERR_NOT_FOUND && named)
     mo_reply_problem(request, 404, NULL,
-                     "The training has no checkpoint of step %lld; GET "
+                     "The training run has no checkpoint of step %lld; GET "
                      "/v1/trainings/%lld/checkpoints lists its checkpoints.",
                      (long long)step, (long long)id);
   else if (code == MO_ERR_NOT_FOUND)
     mo_reply_problem(request, 404, NULL,
                      mo_job_state_is_final(status.job.state)
-                         ? "The training has ended without a result, and has no checkpoint."
-                         : "The training has no checkpoint yet.");
+                         ? "The training run has ended without a result, and has no checkpoint."
+                         : "The training run has no checkpoint yet.");
   else if (code == MO_ERR_CORRUPT)
     reply_damaged(request, &status, result, (uint32_t)step);
   else if (code != MO_OK)

@@ -154,9 +154,9 @@ static void write_running(struct mo_api *api, struct mo_text *text)
                                           "campaign including the first population, bodies of "
                                           "an atlas, rollouts of a certificate."},
       [PARTS] = {"morphod_job_parts", "All parts of a running job."},
-      [RATE] =
-          {"morphod_job_rollouts_per_second",
-           "Recent rollouts per second of a running job; for a training, those with a gradient."},
+      [RATE] = {"morphod_job_rollouts_per_second",
+                "Recent rollouts per second of a running job; for a training run, those with a "
+                "gradient."},
       [LEFT] = {"morphod_job_left_seconds", "Estimated time until a running job ends."},
       [BEST] = {"morphod_job_best_score",
                 "Best score in the newest population of a running campaign."},

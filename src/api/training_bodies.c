@@ -155,8 +155,8 @@ void mo_api_get_training_each(struct mo_request *request)
   int error = mo_store_training(api->store, id, &status);
   if (error == MO_OK && !status.record.each) {
     mo_reply_problem(request, 404, NULL,
-                     "The training makes one controller for all of its bodies; only a finetuning "
-                     "with \"each\": true makes one per design.");
+                     "The training run makes one controller for all of its bodies; only a "
+                     "finetuning run with \"each\": true makes one per design.");
     return;
   }
   if (error == MO_OK)

@@ -53,17 +53,17 @@ static void check_finetune(struct mo_json *json, const struct mo_parsed_training
 {
   bool designs = parsed->parts.has_designs;
   if (designs == parsed->has_population)
-    mo_json_fault_at(json, 0, "", "%s; a finetuning needs exactly one of them",
+    mo_json_fault_at(json, 0, "", "%s; a finetuning run needs exactly one of them",
                      designs ? "both designs and population are given"
                              : "neither designs nor population is given");
   if (parsed->parts.no_controller)
     mo_json_fault_at(json, 0, "/controller",
-                     "must not be null, because a finetuning starts from a controller; give its "
-                     "name, or sha256: and 64 hexadecimal digits");
+                     "must not be null, because a finetuning run starts from a controller; give "
+                     "its name, or sha256: and 64 hexadecimal digits");
   if (parsed->preset == MO_LEARNING_PRESET_PHOTOTAXIS ||
       parsed->preset == MO_LEARNING_PRESET_ROBUST)
     mo_json_fault_at(json, 0, "/preset",
-                     "\"%s\" is a preset of pretraining; use \"workstation\" or \"paper\" for a "
+                     "\"%s\" is a preset of pretraining; use \"workstation\" or \"paper\" for "
                      "finetuning",
                      mo_learning_preset_words[parsed->preset]);
 }
@@ -96,8 +96,7 @@ static void check_each(struct mo_json *json, struct mo_parsed_training *parsed)
 static void check_not_each(struct mo_json *json, const struct mo_parsed_training *parsed)
 {
   static const char words[] =
-      "is only for a finetuning with \"each\": true, which makes a controller "
-      "per design";
+      "is only for finetuning with \"each\": true, which makes a controller per design";
   if (parsed->request.record.keep >= 0)
     mo_json_fault_at(json, 0, "/keep", "%s", words);
   if (parsed->request.record.keep_best > 0)
@@ -110,17 +109,18 @@ static void check_pretrain(struct mo_json *json, const struct mo_parsed_training
   const uint64_t bodies = (uint64_t)settings->n_steps * settings->batch;
   if (parsed->parts.has_designs)
     mo_json_fault_at(json, 0, "/designs",
-                     "a pretraining draws its own bodies; only a finetuning has designs");
+                     "a pretraining run draws its own bodies; only a finetuning run has designs");
   if (parsed->has_population)
     mo_json_fault_at(json, 0, "/population",
-                     "a pretraining draws its own bodies; only a finetuning has a population");
+                     "a pretraining run draws its own bodies; only a finetuning run has a "
+                     "population");
   if (parsed->request.record.each)
     mo_json_fault_at(json, 0, "/each",
-                     "a pretraining draws its own bodies; only a finetuning has designs");
+                     "a pretraining run draws its own bodies; only a finetuning run has designs");
   if (bodies > MO_TRAINING_BODIES_MAX)
     mo_json_fault_at(
         json, 0, "/steps",
-        "%u steps of %u bodies need %llu distinct bodies; a pretraining has at most %llu",
+        "%u steps of %u bodies need %llu distinct bodies; a pretraining run has at most %llu",
         settings->n_steps, settings->batch, (unsigned long long)bodies,
         (unsigned long long)MO_TRAINING_BODIES_MAX);
 }
@@ -140,7 +140,7 @@ static int check(struct mo_json *json, void *any)
                      "only one of them");
   if (parts->has_environments && settings->held_out_environments > 0)
     mo_json_fault_at(json, 0, "/validation/environments",
-                     "must be left out, because a training with its own environments is "
+                     "must be left out, because a training run with its own environments is "
                      "validated in all of them");
   settings->learning.vary.given = mo_factors_vary(&settings->learning.vary);
   mo_parts_check_factors(json, &parsed->parts, &settings->physics, &settings->learning.vary);
@@ -161,7 +161,7 @@ static int check(struct mo_json *json, void *any)
       (finetune || (parts->has_controller && !parts->no_controller)))
     mo_json_fault_at(
         json, 0, "/sensor",
-        "the training starts from a controller, which determines the sensor; omit it here");
+        "the training run starts from a controller, which determines the sensor; omit it here");
   return MO_OK;
 }
 

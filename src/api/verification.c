@@ -151,7 +151,7 @@ void mo_api_verify_origin(struct mo_request *request)
   else
     reply(request, &verification);
   if (error == MO_OK && verification.n > 0)
-    mo_request_note(request, "%s of losses or measures from \"%s\" with other recomputed values%s",
+    mo_request_note(request, "%s of losses or measures from \"%s\" that differ when recomputed%s",
                     MO_COUNTED(verification.n, "row"), parsed.origin,
                     parsed.repair ? ", and were replaced" : "");
   free(verification.rows);

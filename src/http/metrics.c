@@ -127,7 +127,7 @@ void mo_metrics_write(struct mo_http *http, struct mo_text *text)
   write_requests(http, text);
   GAUGE("morphod_http_connections", atomic_load(&http->n_connections), "Open connections.");
   GAUGE("morphod_http_connections_max", http->config.max_connections,
-        "Limit of open connections: max_connections, or fewer if the limit on open files requires "
+        "Limit on open connections: max_connections, or fewer if the limit on open files requires "
         "it.");
   GAUGE("morphod_http_requests_in_flight", atomic_load(&http->n_in_flight),
         "Requests in flight, including event streams.");

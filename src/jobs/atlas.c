@@ -39,7 +39,7 @@
 #define NINE_VOXELS_BYTES (UINT64_C(8) << 20)
 #define LESS_BYTES        (UINT64_C(2) << 20)
 #define FLIGHT_BYTES      1024
-#define MEASURED_BYTES    (MO_BLOCK_LANES * sizeof(double[MO_MEASURES])) /* additional, per flight */
+#define MEASURED_BYTES    (MO_BLOCK_LANES * sizeof(double[MO_MEASURES])) /* added per flight */
 
 struct run {
   struct mo_runner *runner;

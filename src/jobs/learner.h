@@ -41,6 +41,6 @@ int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, 
 int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots);
 int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report,
                      double *seconds);
-void mo_learner_free(struct mo_learner *learner); /* also frees the training */
+void mo_learner_free(struct mo_learner *learner); /* also frees the training run */
 
 #endif

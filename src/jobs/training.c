@@ -278,7 +278,7 @@ static int learn_each(struct mo_training_run *run)
   int error = MO_OK;
   while (error == MO_OK && run->body.position < run->status.record.n_designs)
     error = learn_one(run);
-  return error == MO_OK ? mo_runner_persist(run->runner, write_end, run, "the end of the training")
+  return error == MO_OK ? mo_runner_persist(run->runner, write_end, run, "the end of the run")
                         : error;
 }
 

@@ -122,7 +122,7 @@ static int load_checkpoint(struct mo_training_run *run)
       return error;
     snprintf(text, sizeof(text), "the checkpoint of step %u cannot be used (%.120s): %s",
              (unsigned)rows[i].step, error == MO_ERR_IO ? "it cannot be read" : message.text,
-             i + 1 < n ? "using the previous one" : "restarting the training");
+             i + 1 < n ? "using the previous one" : "restarting the training run");
     mo_runner_warn(run->runner, error, text);
   }
   return MO_ERR_NOT_FOUND;

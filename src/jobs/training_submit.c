@@ -48,7 +48,7 @@ static int load_population(struct mo_jobs *jobs, const struct mo_training_reques
                    population);
   if (*n > MO_TRAINING_DESIGNS_MAX) /* the population of a campaign */
     return mo_fail(message, MO_ERR_RANGE,
-                   "a finetuning must have 1 to %d designs, got %u; select the best ones",
+                   "a finetuning run must have 1 to %d designs, got %u; select the best ones",
                    MO_TRAINING_DESIGNS_MAX, (unsigned)*n);
   return MO_OK;
 }
@@ -69,8 +69,8 @@ static int check_each(const struct mo_training_record *record, struct mo_message
   return steps <= MO_TRAINING_STEPS_MAX
              ? MO_OK
              : mo_fail(message, MO_ERR_RANGE,
-                       "%u designs that learn %u steps each need %llu steps in all; a training has "
-                       "at most %d",
+                       "%u designs that learn %u steps each need %llu steps in total; a training "
+                       "run has at most %d",
                        (unsigned)record->n_designs, (unsigned)record->settings.n_steps,
                        (unsigned long long)steps, MO_TRAINING_STEPS_MAX);
 }

@@ -28,7 +28,7 @@ struct mo_learned {
   uint8_t *bytes;
   size_t size;
 };
-/* job: the training's id. code: nullable. */
+/* job: the training run's id. code: nullable. */
 int mo_learned_create(const struct mo_jobs *jobs, const struct mo_job *job,
                       const struct mo_training *training, const struct mo_training_lineage *code,
                       struct mo_learned *learned);

@@ -2,8 +2,8 @@
  *
  * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the size of the
  * settings (uint32), struct counters, the settings as JSON by their table, then, with VERSION_OWN,
- * the training's own environments (struct worlds, then each in its packed form), then designs (24
- * bytes each), weights (float32), first and second moments (float64 each), and a CRC-64 of
+ * the training run's own environments (struct worlds, then each in its packed form), then designs
+ * (24 bytes each), weights (float32), first and second moments (float64 each), and a CRC-64 of
  * everything before it. Decoding trusts nothing: sizes must match to the byte, settings must pass
  * the checks of a new run, and numbers must be finite. */
 #include "learning/internal.h"
@@ -36,7 +36,7 @@ _Static_assert(sizeof(struct counters) == 64, "without padding");
 /* The environments of a checkpoint in VERSION_OWN. */
 struct worlds {
   uint32_t n, version;   /* of the packed form */
-  uint32_t draws_worlds; /* 1: only their tasks are the training's own */
+  uint32_t draws_worlds; /* 1: only their tasks are the training run's own */
 };
 
 /* ---- checksum: CRC-64 with the polynomial of ECMA-182, reflected, as in the XZ format ---- */
@@ -197,7 +197,7 @@ static int check_header(const struct mo_training_settings *settings,
                         const struct counters *counters, struct mo_message *message)
 {
   if (counters->step > settings->n_steps || counters->skipped > counters->step)
-    return damaged(message, "it has more steps than its training");
+    return damaged(message, "it has more steps than its training run");
   const bool finetune = settings->kind == MO_TRAINING_FINETUNE;
   if (finetune != (counters->n_designs > 0) || counters->n_designs > MO_TRAINING_DESIGNS_MAX)
     return damaged(message, "its number of designs does not match its kind");
@@ -227,7 +227,7 @@ static int check_values(const struct mo_training *training, struct mo_message *m
   return MO_OK;
 }
 
-/* Reads the training's own environments. size: of the checkpoint. */
+/* Reads the training run's own environments. size: of the checkpoint. */
 static int read_worlds(struct codec *codec, size_t size, struct mo_training *training,
                        struct mo_message *message)
 {
@@ -240,14 +240,14 @@ static int read_worlds(struct codec *codec, size_t size, struct mo_training *tra
     return damaged(message, what);
   int r = mo_training_allocate_environments(training, worlds.n);
   if (r < 0)
-    return mo_fail(message, r, "the training does not fit in memory");
+    return mo_fail(message, r, "the training run does not fit in memory");
   size_t bytes = 0;
   r = mo_training_environments_unpack(training, worlds.version, codec->from + codec->at,
                                       size - SUM_BYTES - codec->at, &bytes);
   codec->at += bytes;
   training->draws_worlds = worlds.draws_worlds == 1;
   if (r == MO_ERR_NO_MEMORY)
-    return mo_fail(message, r, "the training does not fit in memory");
+    return mo_fail(message, r, "the training run does not fit in memory");
   return r == MO_OK ? MO_OK : damaged(message, what);
 }
 
@@ -258,7 +258,7 @@ static int read_arrays(struct codec *codec, const struct mo_training_settings *s
   struct mo_training *made = NULL;
   int r = mo_training_allocate(settings, (uint32_t)counters->n_designs, &made);
   if (r < 0)
-    return mo_fail(message, r, "the training does not fit in memory");
+    return mo_fail(message, r, "the training run does not fit in memory");
   const uint64_t n = made->controller->n_parameters;
   if (counters->version == VERSION_OWN)
     r = read_worlds(codec, size, made, message);
@@ -286,7 +286,7 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
                        struct mo_message *message)
 {
   if (size < sizeof(magic) || memcmp(bytes, magic, sizeof(magic)) != 0)
-    return mo_fail(message, MO_ERR_FORMAT, "not a checkpoint of a training");
+    return mo_fail(message, MO_ERR_FORMAT, "not a checkpoint of a training run");
   if (size < HEADER_BYTES + SUM_BYTES)
     return damaged(message, "it is too short");
   struct codec codec = {.from = bytes, .at = sizeof(magic)};

@@ -135,7 +135,7 @@ static void make_bodies(void *context, size_t first, size_t end)
   }
 }
 
-/* Returns one of the training's own environments. */
+/* Returns one of the training run's own environments. */
 static const struct mo_environment *choose(const struct mo_training *training, uint32_t step,
                                            uint32_t i)
 {

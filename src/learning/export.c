@@ -1,5 +1,5 @@
 /* export.c: exports the controller of a training run with its lineage. The result depends only on
- * the training's state. */
+ * the training run's state. */
 #include "learning/internal.h"
 
 #include <inttypes.h>
@@ -21,7 +21,7 @@ static void write_settings(const struct mo_training *training, struct mo_text *t
   mo_text_add(text, "}");
 }
 
-/* Writes the entries below the training's step. */
+/* Writes the entries below the training run's step. */
 static void write_code(const struct mo_training *training,
                        const struct mo_training_lineage *lineage, struct mo_text *text)
 {
@@ -38,7 +38,7 @@ static void write_code(const struct mo_training *training,
   mo_text_add(text, "]");
 }
 
-/* Adds the checksum of the training's own environments to the metadata. */
+/* Adds the checksum of the training run's own environments to the metadata. */
 static int add_environments(const struct mo_training *training, struct mo_controller *controller)
 {
   const unsigned version = mo_training_environments_version(training);

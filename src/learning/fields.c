@@ -29,7 +29,7 @@ static const struct mo_field schedule_rows[] = {
     {"cycle_growth", MO_FIELD_COUNT, 0, AT(cycle_growth), .min = 1, .max = GROWTH_MAX, .unit = "",
      .help = "restarts: factor of the length from one cycle to the next"},
     {"warmup_steps", MO_FIELD_COUNT, 0, AT(warmup_steps), .min = 0, .max = MO_TRAINING_STEPS_MAX,
-     .unit = "steps", .help = "steps in which the rate grows to its peak"},
+     .unit = "steps", .help = "steps over which the rate grows to its peak"},
 };
 #undef AT
 static const struct mo_fields schedule_fields = MO_FIELDS(schedule_rows);

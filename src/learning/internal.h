@@ -34,13 +34,13 @@ struct mo_training {
     uint64_t *drawn;         /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the step */
     uint32_t n_drawn;        /* number of bodies drawn so far */
     struct mo_body **bodies; /* pretrain: (batch); NULL: not built yet */
-    struct mo_environment *environments; /* (batch) drawn or varied; NULL: the robots have the
-                                            training's own */
-    struct mo_variation *variations;     /* (batch) drawn; NULL: nothing varies */
-    struct mo_robot *robots;             /* (batch) */
-    uint64_t draws;                      /* pretrain: draws of the stream up to the step's end */
-    bool ready;                          /* `robots` is complete */
-    bool stale;                          /* its bodies are no longer needed */
+    struct mo_environment
+        *environments; /* (batch) drawn or varied; NULL: the robots have the training run's own */
+    struct mo_variation *variations; /* (batch) drawn; NULL: nothing varies */
+    struct mo_robot *robots;         /* (batch) */
+    uint64_t draws;                  /* pretrain: draws of the stream up to the step's end */
+    bool ready;                      /* `robots` is complete */
+    bool stale;                      /* its bodies are no longer needed */
   } hands[2]; /* the current step and the next; the index is the lowest bit of the step */
 };
 
@@ -74,12 +74,12 @@ bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *set
                     double scale, const double *gradient, float *weights, size_t n,
                     uint32_t n_threads, uint32_t *bounded);
 
-/* environments.c: allocates n environments that belong to the training, to be filled in. */
+/* environments.c: allocates n environments that belong to the training run, to be filled in. */
 int mo_training_allocate_environments(struct mo_training *training, uint32_t n);
 /* Gives a drawn environment the task of another, and its light if the task moves the light. */
 void mo_training_give_task(const struct mo_environment *tasked, struct mo_environment *environment);
-/* A training's own environments as bytes: in their packed form, all in the first version that has
- * all their fields. */
+/* A training run's own environments as bytes: in their packed form, all in the first version that
+ * has all their fields. */
 unsigned mo_training_environments_version(const struct mo_training *training);
 size_t mo_training_environments_bytes(const struct mo_training *training, unsigned version);
 void mo_training_environments_pack(const struct mo_training *training, unsigned version,

@@ -1,6 +1,6 @@
 /* schedule.c: learning rates: a linear warm-up, then cosine annealing with warm restarts
- * (Loshchilov & Hutter, ICLR 2017); one cosine over the whole training is the special case of one
- * cycle.
+ * (Loshchilov & Hutter, ICLR 2017); one cosine over the whole training run is the special case of
+ * one cycle.
  *
  * Step s of a cycle of n steps has the rate floor + (peak − floor) (1 + cos(π s/n))/2: the first
  * step has the peak, and the step after the last would reach the floor. The cosine is computed here

@@ -115,7 +115,7 @@ static int check_together(const struct mo_training_settings *settings, struct mo
   const uint64_t bodies = (uint64_t)settings->n_steps * settings->batch;
   if (settings->kind == MO_TRAINING_PRETRAIN && bodies > MO_TRAINING_BODIES_MAX)
     return mo_fail(message, MO_ERR_RANGE,
-                   "steps × batch is %" PRIu64 "; a pretraining may draw at most %" PRIu64
+                   "steps × batch is %" PRIu64 "; a pretraining run may draw at most %" PRIu64
                    " distinct bodies, so lower the steps or the batch",
                    bodies, MO_TRAINING_BODIES_MAX);
   return MO_OK;

@@ -25,7 +25,7 @@ int64_t mo_store_training_bodies(struct mo_store *store, int64_t id, int64_t aft
 /* Reads only the scores of these designs that are both finite (malloc), in order: zero_shot (n),
  * then finetuned (n). */
 int mo_store_training_pairs(struct mo_store *store, int64_t id, double **pairs, uint32_t *n);
-/* Stores a separately trained design, with the event "training.body"; deletes the training's
+/* Stores a separately trained design, with the event "training.body"; deletes the training run's
  * checkpoints and resets its attempts. The record says whether the controller, which the bytes
  * encode, is kept: as <name>-<position>. One that is no longer among the best loses its name, and
  * its file is deleted unless something else refers to it. Returns after the commit; MO_ERR_CONFLICT

@@ -67,7 +67,7 @@ struct mo_training_status {
   bool has_validation;
   struct mo_training_validation_row validation; /* the newest */
   uint32_t checkpoint_step;                     /* the newest; 0: none */
-  struct mo_training_lineage code;              /* the code that computed the training */
+  struct mo_training_lineage code;              /* the code that computed the training run */
   uint32_t bodies_done;                         /* if each design is trained separately */
 };
 
@@ -136,7 +136,7 @@ int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
  * "training.checkpoint". MO_ERR_NO_SPACE: nothing changed; retry when there is space. */
 int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step,
                                  const uint8_t *bytes, size_t size, uint32_t keep);
-/* running → succeeded. Writes the controller's file, then its row, its name and the training's
+/* running → succeeded. Writes the controller's file, then its row, its name and the training run's
  * state in one transaction. controller NULL: there is none. */
 int mo_store_training_finish(struct mo_store *store, int64_t id, const char *name,
                              const uint8_t *bytes, size_t size,

@@ -1,4 +1,4 @@
-"""Finetunings of bodies that are drawn from the whole ranking of an atlas."""
+"""Finetuning runs of bodies that are drawn from the whole ranking of an atlas."""
 
 import hashlib
 import json
@@ -37,7 +37,7 @@ def plain(service):
 
 
 def submitted(service, value):
-    """Returns a training after its submission, and withdraws it."""
+    """Returns a training run after its submission, and withdraws it."""
     reply = service.request("POST", "/v1/trainings", value)
     assert reply.status == 202, reply.body
     job = reply.json()

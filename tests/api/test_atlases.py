@@ -1,5 +1,5 @@
 """Atlases: all queries, compared with a plain reading of the file; storing, replacing and deleting
-files; files that are no atlases."""
+files; files that are not atlases."""
 
 import concurrent.futures
 import itertools

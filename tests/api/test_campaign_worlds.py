@@ -48,7 +48,7 @@ def worlds(value, word):
 
 
 def test_the_steps_are_those_of_a_training(service):
-    """A simultaneous campaign without further generations is a finetuning on its founders."""
+    """A simultaneous campaign without further generations is a finetuning run on its founders."""
     founders = [DESIGN, BAR, *({"voxels": one["genotype"]} for one in service.post(
         "/v1/bodies/random", {"count": 2, "seed": 3})["items"])]
     schedule = {"kind": "constant", "peak": 1e-4, "warmup_steps": 0}
@@ -93,7 +93,8 @@ def test_where_they_learn_by_default(service):
 
 def test_tasks_on_random_terrains(service):
     """Robots have the tasks of the campaign's environments, and terrains of their own: a
-    simultaneous campaign without further generations is a finetuning that learns these tasks."""
+    simultaneous campaign without further generations is a finetuning run that learns these
+    tasks."""
     founders = [DESIGN, BAR]
     tasks = ["walk", "path", "shuttle"]
     schedule = {"kind": "constant", "peak": 1e-4, "warmup_steps": 0}

@@ -235,7 +235,7 @@ def test_founders_that_do_not_fit_are_counted(service):
     assert second["founders"] == reply["founders"]
     first = service.pages(second["links"]["population"] + "?generation=0")
     assert sorted(row["operator"] for row in first) == ["inherited"] + 3 * ["random"]
-    # None is turned to fit, because it would be a different robot than in the parent campaign.
+    # None is rotated to fit, because it would be a different robot than in the parent campaign.
     bar = {"cells": [[x, 0, 0] for x in range(4)]}
     parent = run_campaign(service, SMALL | rules | {"initial": {"designs": [bar, DESIGN]}})
     narrow = asked | {"initial": {"campaign": parent["id"]}, "workspace": [3, 4, 2]}

@@ -72,7 +72,7 @@ def show(service):
 
 
 def check_results(service, jobs, undisturbed):
-    """Checks that the campaign and the training end like undisturbed ones."""
+    """Checks that the campaign and the training run end like undisturbed ones."""
     ended = [await_state(service, f"/v1/{kind}/{job}", "succeeded") for kind, job in jobs]
     assert all(job["error"] is None for job in ended)
     assert population(service, ended[0]) == undisturbed["population"]
@@ -408,7 +408,7 @@ def test_only_workers_have_devices(cluster, start, undisturbed, tmp_path):
     by_device, = [score for score in design["orientations"][0]["scores"]
                   if score["fingerprint"] == "fake float32 score-1 sm90"]
     assert by_device["origin"].startswith("gpu-0@")
-    # Devices of another class are not served, nor is a wrong canary.
+    # Devices in another class are not served, nor is a wrong canary.
     cluster.launch(code="other-2")
     until(lambda: cluster.fleet.status()["n_sessions"] == 2)
     cluster.until_there(1)
@@ -499,7 +499,7 @@ def test_known_keys_are_answered_without_devices(start, tmp_path):
 
 
 def test_another_code_is_reported(start, tmp_path):
-    """A training that continues under another version of the module reports it."""
+    """A training run that continues under another version of the module reports it."""
     state = tmp_path / "state"
     service = start(*FLAGS, state=state, environment=fake(delay_ms=300))
     job = service.post("/v1/trainings", {**TRAINING, "checkpoint": {"every_steps": 1}})["id"]
@@ -512,7 +512,7 @@ def test_another_code_is_reported(start, tmp_path):
 
 
 def test_a_gradient_that_devices_do_not_support(start):
-    """The processors compute all of it, and the training reports it."""
+    """The processors compute all of it, and the training run reports it."""
     plain = start()
     expected = run(plain, "trainings", {**TRAINING, "validation": {"every_steps": 0}})
     service = start(*FLAGS, environment=fake(springs=30))
@@ -528,7 +528,7 @@ def test_a_gradient_that_devices_do_not_support(start):
 
 
 def test_devices_learn_tasks(start):
-    """A training with tasks, profiles or damage runs on devices."""
+    """A training run with tasks, profiles or damage runs on devices."""
     service = start(*FLAGS, environment=fake())
     light = {"light_xy_m": [4, 2.5], "terrain_sigma_m": 0.05, "seed": 1}
     quiet = {**TRAINING, "validation": {"every_steps": 0}}

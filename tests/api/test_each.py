@@ -1,5 +1,5 @@
-"""Finetunings of each design alone: their scores are those of trainings and evaluations of the
-design, and the controllers that were requested are kept."""
+"""Finetuning runs of each design alone: their scores are those of training runs and evaluations of
+the design, and the controllers that were requested are kept."""
 
 import pytest
 
@@ -94,7 +94,7 @@ def test_scores_are_those_of_evaluations(service, each, rows):
 
 
 def test_scores_in_a_named_set(service):
-    """With environments of its own, a training learns and scores in these."""
+    """With environments of its own, a training run learns and scores in these."""
     value = {key: value for key, value in EACH.items() if key != "validation"}
     done = run(service, "trainings", value | {"environments": "paper-test", "steps": 1})
     row = service.get(f"/v1/trainings/{done['id']}/each")["items"][1]

@@ -112,7 +112,7 @@ def test_the_first_campaign_shows_how_far_it_is(start):
     finally:
         watched.kill()
         watched.communicate()
-    assert re.search(r"preparing [\d,]+ of 204,800,000 bodies of the pretraining  \S.* until they "
+    assert re.search(r"preparing [\d,]+ of 204,800,000 pretraining bodies  \S.* until they "
                      r"are drawn", line), line
     assert service.act(id, "cancel").status == 200
 

@@ -28,7 +28,7 @@ PRETRAINING = ("--steps=6", "--batch=8", "--rollout-steps=30", "--validation-eve
 REPRODUCTION = ("--population=16", "--generations-zero-shot=3", "--generations-few-shot=1",
                 "--generations-simultaneous=3", "--few-shot-steps=2", "--rollout-steps=30",
                 "--champions=5", "--seeds=1,2", f"--controller={BOOTSTRAP}"
-                )  # a pretraining without bodies to redraw
+                )  # a pretraining run without bodies to redraw
 
 
 def command(name, *arguments):
@@ -88,8 +88,8 @@ def test_pretraining(tmp_path):
         (whole / "controllers" / name).read_bytes() == (parts / "controllers" / name).read_bytes()
         for name in files)
     assert is_svg(parts / "p.svg")
-    # A training that is complete in the CSV file needs neither state nor daemon. Another recipe is
-    # added to the file.
+    # A training run that is complete in the CSV file needs neither state nor daemon. Another recipe
+    # is added to the file.
     assert bench("pretraining", *PRETRAINING, seeds, "--device=cuda", *NO_DAEMON,
                  *pretraining_in(parts)).stdout == printed
     bench("pretraining", *PRETRAINING, "--seeds=1", "--schedule=paper-pretrain", "--bound=0",
@@ -169,7 +169,7 @@ def test_reproduction(tmp_path):
     report = bench("reproduction", "--report", f"--folder={whole}", f"--markdown={page}")
     assert (whole /
             "champions.svg").read_bytes() == drawn and report.stdout.strip() in page.read_text()
-    # A training whose GPUs were lost: their number is unknown.
+    # A training run whose GPUs were lost: their number is unknown.
     (tmp_path / "p.csv").write_text(
         "recipe,device,machine,row,seed,step,loss,seconds,zeroed,skipped,standard_error\n"
         "one cosine 0.002 / 8 x 6,cuda,,step,1,1,0.5,1,0,0,\n")

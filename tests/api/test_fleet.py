@@ -526,7 +526,7 @@ BATCH = 1056  # two shards
 
 
 def learned(service, mode):
-    """Returns the results of a training or a campaign: hashes of controllers, and scores."""
+    """Returns the results of a training run or a campaign: hashes of controllers, and scores."""
     if mode == "training":
         value = {"kind": "pretrain", "steps": 3, "batch": BATCH, "physics": {"n_steps": 20},
                  "validation": {"every_steps": 0}, "name": "by-workers"}
@@ -541,7 +541,8 @@ def learned(service, mode):
 
 @pytest.mark.parametrize("mode", ["training", "zero-shot", "few-shot", "simultaneous"])
 def test_workers_learn_with_the_same_bits(free, start, mode):
-    """Two workers compute everything that a daemon learns. During the training, one is killed."""
+    """Two workers compute everything that a daemon learns. During the training run, one is
+    killed."""
     alone = learned(start(), mode)
     launched = [Worker(f"http://{free.host}:{free.port}") for _ in range(2)]
     try:

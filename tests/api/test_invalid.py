@@ -61,7 +61,7 @@ COMMON = {
     "/weight": [0, -1, 0.0009, 1000.1, 1e300, "2", None],
 }
 SEED = {"/seed": [-1, 2**53]}
-LEARNING = {  # settings of trainings and campaigns
+LEARNING = {  # settings of training runs and campaigns
     "/batch": [0, -1, 65537],
     "/schedule": ["paper", "cosine", 0.001, None, {"peak": 0.001}],
     "/schedule/kind": [{"kind": "linear"}],
@@ -110,7 +110,7 @@ TRAINING = {
     "/preset": ["demo", "Paper", "", 2, None, {"name": "paper"}, "x" * 50],
     "/name": ["Walker", "../walker", "", "1" * 65, None],
     "/sensor": ["camera"],
-    "/designs": [[DESIGN]],  # in a pretraining
+    "/designs": [[DESIGN]],  # in a pretraining run
     "/steps": [0, -5, 10**9, 10**6 + 1, 10**30, 0.5, "60"],
     "/validation": [50],
     "/validation/every_steps": [{"every_steps": -1}],

@@ -1,5 +1,5 @@
-"""What evaluations, trainings, campaigns and certificates have in common as jobs: lists, labels,
-keys, waiting, control, events, metrics, and unknown ids."""
+"""What evaluations, training runs, campaigns and certificates have in common as jobs: lists,
+labels, keys, waiting, control, events, metrics, and unknown ids."""
 
 import concurrent.futures
 import time

@@ -205,8 +205,8 @@ def test_retention(start, tmp_path):
 
 
 def test_retention_of_runs(start, tmp_path):
-    """Trainings and campaigns are deleted by age, each kind by its own rule. What another job needs
-    stays, and so does a controller."""
+    """Training runs and campaigns are deleted by age, each kind by its own rule. What another job
+    needs stays, and so does a controller."""
     first = start(state=tmp_path)
     taught = run(first, "trainings", {
         "kind": "pretrain", "name": "stays", "steps": 1, "batch": 1, "physics": {"n_steps": 5},

@@ -175,8 +175,8 @@ def test_a_heavy_client_delays_no_other_client(start, tmp_path, flood, who):
 
 def until_in_flight(service, n):
     """Waits for n requests in addition to this one. This one always uses the same connection:
-    otherwise, the end of an earlier request on another connection might be counted late, in place
-    of one that has not arrived."""
+    otherwise, the end of an earlier request on another connection might be counted late, instead of
+    one that has not arrived."""
     asking = service.connection()
     until(lambda: service.metric(IN_FLIGHT, connection=asking) == n + 1)
     asking.close()

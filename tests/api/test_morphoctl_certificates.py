@@ -149,7 +149,7 @@ def test_remarks(ctl, tmp_path):
     assert status == 0 and "left out: held_out: " in out, (out, err)
     assert "design 0 is left out: /designs/0/cells/1: " in err
     assert f"using 8{'0' * 35}@0" in err
-    assert "environments   1 of the request" in out
+    assert "environments   1 from the request" in out
     status, out, err = ctl(f"certify {designs} --on-fault skip --axes held_out --held-out 2 "
                            "--physics n_steps=20 --wait --quiet")
     assert status == 0 and err == "" and re.search(r"^held_out: .*lights", out, re.M), (out, err)

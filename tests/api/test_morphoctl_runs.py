@@ -1,4 +1,4 @@
-"""morphoctl with long jobs: trainings and campaigns."""
+"""morphoctl with long jobs: training runs and campaigns."""
 
 import fcntl
 import hashlib

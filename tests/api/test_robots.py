@@ -179,7 +179,7 @@ def test_leaderboard(service):
 
 
 def test_trainings(service):
-    """A finetuning learns on the robots that were scored in the test set, and says so."""
+    """A finetuning run learns on the robots that were scored in the test set, and says so."""
     tuning = {"kind": "finetune", "steps": 1, "batch": 4, "physics": {"n_steps": 20}}
     rows = service.evaluate({"designs": list(images(service.post(
         "/v1/bodies/canonical", {"designs": [LEANING]})["items"][0]["genotype"])),

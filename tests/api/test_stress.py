@@ -43,7 +43,7 @@ def plain_json(text):
 
 
 def learn(service, controller, physics):
-    """Runs a short finetuning, and returns the rows of its curve."""
+    """Runs a short finetuning run, and returns the rows of its curve."""
     request = {
         "kind": "finetune", "controller": controller, "designs": DESIGNS, "steps": STEPS,
         "batch": BATCH, "physics": physics, "schedule": {"kind": "constant", "peak": 0.01},

@@ -12,7 +12,7 @@ from service import DESIGN, await_end, awaited, run
 PLACES = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": seed} for seed in range(2)]
 BODIES = [{"cells": [[x, y, 0] for x in range(width) for y in range(2)] + [[0, 0, z]
            for z in range(1, height)]} for width in (1, 2, 3) for height in (1, 2)]
-PHYSICS = {"n_steps": 200, "dt_s": 0.004}  # 0.8 s: most lives have not bifurcated yet
+PHYSICS = {"n_steps": 200, "dt_s": 0.004}  # 0.8 s: most rollouts have not bifurcated yet
 REQUEST = {"designs": BODIES, "environments": PLACES, "physics": PHYSICS, "tolerance": 0.002}
 LADDER = [(0.004, "float32"), (0.002, "float32"), (0.001, "float64"), (0.0005, "float64"),
           (0.00025, "float64")]

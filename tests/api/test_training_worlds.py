@@ -1,4 +1,4 @@
-"""Trainings in environments of their own: drawn per robot, validated in them, with tasks."""
+"""Training runs in environments of their own: drawn per robot, validated in them, with tasks."""
 
 import json
 import subprocess
@@ -41,7 +41,7 @@ def test_they_are_reported(service, tuned):
     assert tuned["settings"]["validation"]["environments"] == 5
     shown = subprocess.run([MORPHOCTL, "-s", f"http://{service.host}:{service.port}", "train",
                             "show", tuned["id"]], check=True, capture_output=True, text=True)
-    assert "5 of the request" in shown.stdout
+    assert "5 from the request" in shown.stdout
     listed = service.get(tuned["links"]["held_out"])["environments"]
     worlds = service.evaluate({"designs": [DESIGN], "environments": WORLDS,
                                "physics": {"n_steps": 10}}).json()["id"]
@@ -126,7 +126,7 @@ def test_tasks_in_random_terrains(service):
     assert abs(sum(scores) / 2 - done["validation"]["mean_score"]) < 1e-12
     described = metadata(file_of(service, done))
     assert json.loads(described["morphod.settings"])["tasks"] == 3
-    # Only reaching lights is what a training does without tasks.
+    # Only reaching lights is what a training run does without tasks.
     bare = {"kind": "pretrain", **SMALL}
     assert losses(service, train(service, bare | {"tasks": ["photo"]})) == losses(
         service, train(service, bare)) != losses(service, done)
@@ -139,7 +139,7 @@ def test_tasks_in_random_terrains(service):
 
 @pytest.mark.parametrize("own", [{"environments": WORLDS}, {"tasks": TASKS}])
 def test_a_restart_changes_nothing(start, tmp_path, own):
-    """Stopped and started several times, a training ends with the same file as without."""
+    """Stopped and started several times, a training run ends with the same file as without."""
     value = {"kind": "pretrain", **own, "steps": 40, "batch": 3, "seed": 9,
              "name": "own", "physics": {"n_steps": 300},
              "validation": {"every_steps": 20, "designs": 1},

@@ -1,4 +1,4 @@
-"""Trainings: their settings, running to the end, curves, checkpoints, controllers, held-out
+"""Training runs: their settings, running to the end, curves, checkpoints, controllers, held-out
 sets."""
 
 import hashlib
@@ -44,7 +44,7 @@ def test_population_that_has_not_succeeded(service):
 
 @pytest.fixture(scope="module")
 def trained(service):
-    """A small pretraining that has ended."""
+    """A small pretraining run that has ended."""
     return train(service, TRAIN | {"name": "small", "schedule": "paper-pretrain"})
 
 
@@ -76,7 +76,7 @@ def test_a_preset_and_what_is_named_over_it(service):
     for request, detail in (
         ({"kind": "pretrain", "preset": "laptop"},
          'must be "workstation", "phototaxis", "paper" or "robust", got "laptop"'),
-        (TUNE | {"preset": "phototaxis"}, "for a finetuning")):
+        (TUNE | {"preset": "phototaxis"}, "for finetuning")):
         reply = service.request("POST", "/v1/trainings", request)
         assert reply.status == 422 and detail in reply.json()["errors"][0]["detail"], reply.body
 
@@ -231,8 +231,8 @@ def await_idle(service, path):
 
 
 def test_checkpoints_are_deleted(service):
-    """The checkpoint from which a training continues stays until it has ended; after that, none is
-    needed."""
+    """The checkpoint from which a training run continues stays until it has ended; after that, none
+    is needed."""
     def delete(path):
         return service.request("DELETE", path).json()
 
@@ -265,7 +265,7 @@ def test_checkpoints_are_deleted(service):
     assert service.get(itself)["checkpoint_step"] is None
     gone = service.request("GET", running["links"]["controller"])
     assert gone.status == 404 and "ended" in gone.json()["detail"]
-    # A training that has succeeded has a resulting controller.
+    # A training run that has succeeded has a resulting controller.
     links = train(service, TUNE | {"name": "pruned"})["links"]
     assert delete(links["checkpoints"])["items"] == [{"step": 6}, {"step": 4}]
     service.refuses(links["controller"], "?step=6", status=200)
@@ -322,7 +322,7 @@ def test_a_pause_writes_a_checkpoint(service):
 
 
 def test_lineage_of_the_code(start, tmp_path):
-    """A training continues under another instruction set, and reports this everywhere."""
+    """A training run continues under another instruction set, and reports this everywhere."""
     first = start("--isa=x86-64", state=tmp_path)
     training = first.post("/v1/trainings", LONG | {"name": "mixed"})
     assert training["code"] == []

@@ -185,7 +185,7 @@ def test_an_evaluation_in_which_some_diverge(service):
 
 @pytest.mark.parametrize("steps, least", [(1, 1), (6, 6), (300, 10)])
 def test_a_training_in_which_all_diverge_fails(service, steps, least):
-    """The warning comes early; the training keeps its curve, and a controller that has learned
+    """The warning comes early; the training run keeps its curve, and a controller that has learned
     nothing is not stored."""
     job = service.post("/v1/trainings", TUNE | {"steps": steps, "name": f"stiff-{steps}"})
     failed = await_end(service, f"/v1/trainings/{job['id']}").json()

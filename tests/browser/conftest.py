@@ -21,7 +21,7 @@ TRAINING = {
 
 
 def make_study(running):
-    """A study with two batches, which waiting for its client."""
+    """A study with two batches, which is waiting for its client."""
     study = {"mode": "study", "label": "a study", "environments": CAMPAIGN["environments"],
              "physics": CAMPAIGN["physics"]}
     id = running.post("/v1/campaigns", study)["id"]

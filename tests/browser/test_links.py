@@ -225,7 +225,8 @@ def fill(browser, values):
 
 
 def test_a_finetuning_from_the_form(service, browser):
-    """Tests random bodies and a population. The form of a pretraining does not request bodies."""
+    """Tests random bodies and a population. The form of a pretraining run does not request
+    bodies."""
     browser.open("trainings")
     browser.click("New training")
     browser.until("document.querySelector('dialog[open] form')")

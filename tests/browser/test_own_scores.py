@@ -35,7 +35,7 @@ def test_the_campaign(browser, study):
 
 
 def test_the_phylogeny(browser, study):
-    """Negative scores are no lower bounds, and the best is the brightest."""
+    """Negative scores are not lower bounds, and the best is the brightest."""
     browser.open(f"campaigns/{study}/phylogeny?design=2")
     browser.until("document.querySelector('main').innerText.includes('speed_lost -2 m/s')")
     page = browser.run("return document.querySelector('main').innerText")

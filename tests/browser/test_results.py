@@ -120,7 +120,7 @@ def test_tolerances(service, browser):
 
 def test_jobs_name_their_tasks(service, browser):
     """The list of campaigns compares tasks, with the best score in the unit of each; the page of a
-    training says where it learns."""
+    training run says where it learns."""
     named = run(service, "campaigns", CAMPAIGN | {
         "label": "downstairs", "environments": "morpho-12-down", "generations": 1})
     run(service, "campaigns", CAMPAIGN | {

@@ -1,4 +1,4 @@
-"""A finetuning of each design ends with the same scores and controllers, whatever killed its
+"""A finetuning run of each design ends with the same scores and controllers, whatever killed its
 process, and however many threads it had."""
 import random
 

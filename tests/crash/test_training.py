@@ -1,5 +1,5 @@
-"""Trainings end with the same weights, bit for bit, regardless of kills, the number of workers, and
-a full disk."""
+"""Training runs end with the same weights, bit for bit, regardless of kills, the number of workers,
+and a full disk."""
 import hashlib
 import pathlib
 import random
@@ -10,7 +10,7 @@ from daemon import BUILD, Daemon, bodies, open_database
 from test_disk import fill
 
 CHECKPOINT_BYTES = 12.4e6
-# What computes: with devices, a training writes while the next gradient is computed.
+# What computes: with devices, a training run writes while the next gradient is computed.
 WHERE = {
     "cpu": {},
     "cuda": {"devices": "auto", "compute_module": BUILD / "tests" / "device" / "fake-device.so"}
@@ -87,8 +87,8 @@ def test_kill_at_random_moments(daemon, soak, seed):
         assert expected in (None, (result, learned)), f"{workers} workers produce another result"
         expected = result, learned
 
-    # Each process does so much work that a training ends after most of the kills, including the
-    # work that each kill loses. Then the same training follows again.
+    # Each process does so much work that a training run ends after most of the kills, including the
+    # work that each kill loses. Then the same training run follows again.
     victim = daemon("victim", workers=1)
     victim.start()
     kills = kills_while_running = 0
@@ -132,7 +132,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
 
 
 def test_finetuning_survives(daemon, seed):
-    """Pauses, orderly stops and kills of a finetuning on a population."""
+    """Pauses, orderly stops and kills of a finetuning run on a population."""
     print(f"seed {seed}")
     results = []
     for disturbed in (False, True):
@@ -180,8 +180,8 @@ FULL_DISK = {"every_steps": 10, "every_s": 0, "keep": 1}
 
 @pytest.mark.parametrize("device", WHERE)
 def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
-    """There is no room for a checkpoint: the training waits, reports this, can be cancelled, and
-    continues automatically with the same result."""
+    """There is no room for a checkpoint: the training run waits, reports this, can be cancelled,
+    and continues automatically with the same result."""
     request = pretraining(seed, 30, checkpoint=FULL_DISK, device=device)
     quiet = daemon("roomy", **WHERE[device])
     with quiet:

@@ -102,7 +102,7 @@ def test_a_campaign_outlives_upgrades(daemon, worker, seed):
 
 
 def test_the_other_way_round(daemon, worker):
-    """Workers may be upgraded first. A worker with other bits is informed of the required
+    """Workers may be upgraded first. A worker with different bits is informed of the required
     version."""
     one = daemon("one", workers=1, fleet_listen="127.0.0.1:0")
     one.binary = OLDER

@@ -1,8 +1,8 @@
 /* atlas.c: the reader of atlas files, and queries of what it accepts.
  *
  * Byte 0 even: the rest is a file. Odd: the rest is a file whose hash of the environments and
- * checksums are made right first; otherwise they would reject almost all inputs. Every refusal must
- * be explained. Queries of an accepted file must stay within it, and find each body again. */
+ * checksums are fixed first; otherwise they would reject almost all inputs. Every refusal must be
+ * explained. Queries of an accepted file must stay within it, and find each body again. */
 #include "target.h"
 
 #include "atlas/file.h"

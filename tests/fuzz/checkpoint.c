@@ -1,4 +1,4 @@
-/* checkpoint.c: the reader of a training's checkpoints.
+/* checkpoint.c: the reader of a training run's checkpoints.
  *
  * Byte 0 even: the rest is a file. Odd: the rest is the counters of a header, then its settings,
  * then designs. The file is completed with the weights and moments of a checkpoint, which are zero

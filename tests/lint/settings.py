@@ -31,7 +31,7 @@ def main():
     failed = 0
     for number, line in enumerate(listed, 1):
         kind, place, default, _ = line.split("\t")
-        # Campaigns that learn have the defaults of trainings if the row has no default.
+        # Campaigns that learn have the defaults of training runs if the row has no default.
         shown = "" if place.startswith("learning.") else default
         good = any(names(row, place.split(".")[-1], shown) for row in table)
         failed += not good

@@ -304,7 +304,7 @@ def test_a_service_that_is_not_there_is_reported_at_once(tmp_path):
 def test_progress_names_the_phase(monkeypatch, capsys):
     preparing = {"state": "running", "phase": "preparing", "progress": {
         "done": 230000, "total": 11500000, "seconds_left": 140.2}}
-    assert progress.doing(preparing) == "drawing the pretraining's bodies, 2 %, 2:20 left"
+    assert progress.doing(preparing) == "drawing the pretraining bodies, 2 %, 2:20 left"
     assert progress.doing({"state": "queued", "reason": "no\x1b room"}) == "queued, no\\x1b room"
     assert progress.doing({"state": "succeeded", "phase": "idle", "progress": {}}) == ""
     assert progress.clock(3740) == "1:02:20"
@@ -313,7 +313,7 @@ def test_progress_names_the_phase(monkeypatch, capsys):
         bar.update(0, 9, "something else")  # within a few seconds of the last line
         bar.update(9, 9, best=0.5)
     assert capsys.readouterr().err == (
-        "campaign 7: 0 of 9, drawing the pretraining's bodies, 2 %, 2:20 left\n"
+        "campaign 7: 0 of 9, drawing the pretraining bodies, 2 %, 2:20 left\n"
         "campaign 7: 9 of 9, best 0.5\n")
     # On a terminal, tqdm draws the progress if it is installed.
     made = []
@@ -341,4 +341,4 @@ def test_progress_names_the_phase(monkeypatch, capsys):
     with progress.Bar("campaign 7", 9, " generations") as bar:
         bar.update(1, 9, progress.doing(preparing), best=None)
     assert made == [{"total": 9, "desc": "campaign 7", "unit": " generations"},
-                    "campaign 7: drawing the pretraining's bodies, 2 %, 2:20 left", {}]
+                    "campaign 7: drawing the pretraining bodies, 2 %, 2:20 left", {}]

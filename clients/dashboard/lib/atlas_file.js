@@ -70,7 +70,7 @@ function countBelow(sorted, number) {
   return low;
 }
 
-/** Whether a body comes before another one: the better score, of equal ones the lower position. */
+/** Whether a body comes before another one: the better score first, ties by lower position. */
 const isBefore = (score, position, otherScore, other) =>
   score < otherScore || (score === otherScore && position < other);
 

@@ -1,6 +1,6 @@
 /**
- * The settings that a request leaves to the service, by kind, mode and preset. The contract has
- * those of a preset only in words; a test compares these with what the service uses.
+ * The settings that a request leaves to the service, by kind, mode and preset. The contract
+ * describes those of a preset only in words; a test compares these with what the service uses.
  */
 
 /** The presets of campaigns: population, and generations by mode. */

@@ -167,7 +167,8 @@ export function paint(canvas) {
   if (!width || !height) return null;
   canvas.width = Math.round(width * devicePixelRatio);
   canvas.height = Math.round(height * devicePixelRatio);
-  // Drawn by the CPU: charts change rarely, and the first use of a graphics processor takes long.
+  // Drawn by the CPU: charts change rarely, and the first use of a graphics processor takes a long
+  // time.
   const context = canvas.getContext('2d', { willReadFrequently: true });
   context.scale(devicePixelRatio, devicePixelRatio);
   const style = getComputedStyle(canvas);

@@ -126,7 +126,8 @@ export async function scoresOf(design, environments, options = {}) {
  * any[]}} task */
 export const worldsOf = async ({ set, environments }) => (set ? environmentSet(set) : environments);
 
-/** How long a window of a drive is, about: a robot turns after the light when a window ends. */
+/** How long a window of a drive is, about: a robot turns toward the light only when a window
+ * ends. */
 const WINDOW_S = 0.08;
 
 /** Returns how a drive is cut, regardless of the time step: steps per frame and frames per

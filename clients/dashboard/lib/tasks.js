@@ -2,7 +2,7 @@
 
 import { countOf, score } from './format.js';
 
-/** Ground of the tasks in forms: flat, then rougher and rougher. */
+/** Ground for the tasks in forms: flat, then rougher and rougher. */
 const ROUGH = [0.02, 0.04, 0.06];
 const onRoughGround = (task) => [{ task },
   ...ROUGH.map((sigma, i) => ({ task, terrain_sigma_m: sigma, seed: i + 1 }))];
@@ -76,7 +76,7 @@ export function taskOf(name) {
 export const ANY_LIGHT = { name: 'random', title: 'Reach the light',
   about: 'Go to stationary lights', environments: undefined };
 
-/** All tasks of the suite, which only evaluations are in. */
+/** All tasks of the suite, which only evaluations support. */
 export const SUITE = { name: 'morpho-12', title: 'All twelve tasks',
   about: 'Ten worlds of each task (morpho-12)', environments: 'morpho-12', count: 120 };
 

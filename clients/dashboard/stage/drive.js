@@ -3,8 +3,8 @@
  *
  * The service computes short windows, each from the state at the end of the previous window, ahead
  * of the time that is shown. If the light moves, the windows that have not started to play are
- * computed again. While replies are slow, a request is for several windows, and has a state only at
- * its end. Nothing is extrapolated: if the service is late, the last frame stays.
+ * computed again. While replies are slow, a request covers several windows, and returns a state
+ * only at its end. Nothing is extrapolated: if the service is late, the last frame stays.
  */
 
 /** How far ahead windows are computed while the light rests. */
@@ -16,7 +16,7 @@ const BEGIN_S = 0.5;
 const MOVING_MS = 120;
 /** While the light moves, the same window is computed again at most this often. */
 const AGAIN_MS = 60;
-/** A request is for at most this long. */
+/** A request covers at most this long. */
 const REQUEST_MAX_S = 0.8;
 /** Windows of a request last this many times as long as its reply takes. */
 const SPARE = 1.5;
@@ -68,7 +68,7 @@ export class Drive {
     this.first = 0;
     /** Number of the first window whose states are kept. */
     this.stated = 0;
-    /** For how long the motion has been held in all, because a window was missing. */
+    /** How long the motion has been held in total, because a window was missing. */
     this.heldS = 0;
     this.hasBegun = false;
     this.isLate = false;

@@ -41,7 +41,7 @@ const rowsOf = ({ track, body }) => track.length / (3 * body.nMasses);
 export function upload(gl, robot) {
   const { body, track, actuation, contacts } = robot;
   const rows = rowsOf(robot);
-  // Each of the six vertices of a face has all that is known of it.
+  // Each of the six vertices of a face carries all of the face's data.
   const faces = new Uint16Array(body.nFaces * 6 * 9);
   for (let vertex = 0; vertex < 6 * body.nFaces; vertex++) {
     const face = Math.floor(vertex / 6);
@@ -77,7 +77,7 @@ export function upload(gl, robot) {
   };
 }
 
-/** Frees what the graphics processor has of a robot. */
+/** Frees a robot's data on the graphics processor. */
 export function release(gl, gpu) {
   for (const texture of [gpu.track, gpu.actuation, gpu.contacts]) gl.deleteTexture(texture);
   for (const part of [gpu.skin, gpu.springs, gpu.trail]) part.free();

@@ -25,10 +25,10 @@ const COARSE_GRID = 56;
 const TINY_GRID = 28;
 /** Cells of the ground of a lane: along and across. */
 const LANE_GRID = [120, 10];
-/** Views lower than this, in pixels of the page, are small: the camera moves closer. */
+/** Views shorter than this, in CSS pixels, are small: the camera moves closer. */
 const SMALL_PX = 260;
 const TINY_PX = 130;
-/** Lower views have no shadow; the map of shadows has this many texels along each side. */
+/** Shorter views have no shadow; the map of shadows has this many texels along each side. */
 const [SHADOW_PX, SHADOW_SIZE] = [60, 1024];
 /** While robots move, a picture draws this many of the views, in turn: fewer without a GPU. */
 const VIEWS_AT_ONCE = 64;
@@ -109,7 +109,7 @@ function groundMesh(gl, cells, rows = cells) {
  *   spacing?: number, columns?: number, key?: string, sunFrom?: number[], task?: any}} world light
  *   (x, y) in meters, at the start if it moves; waypoints of a path; a task other than `photo`;
  *   the terrain: 64 heights of a grid, or, with their spacing in meters, of a profile, or of a grid
- *   with these columns; sunFrom: where the sun is in place of the light
+ *   with these columns; sunFrom: where the sun is, instead of the light
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
  * @property {Uint8Array} [contacts] (frames, masses), 1 if a mass touches the ground
  * @property {string} [color] as in the legend
@@ -427,7 +427,7 @@ export class Stage {
     gl.disable(gl.SCISSOR_TEST);
   }
 
-  /** Returns the view under a point of the page, as drawn last, and the point in it, from -1 to
+  /** Returns the view under a point on the page, as drawn last, and the point in it, from -1 to
    * 1. */
   #viewAt(x, y) {
     const { width, height, clientWidth } = this.canvas;
@@ -439,7 +439,7 @@ export class Stage {
       2 * (py - view.y) / view.height - 1] };
   }
 
-  /** Returns the point (x, y) at this height that is seen at a point of the page, or null. */
+  /** Returns the point (x, y) at this height that is seen at a point on the page, or null. */
   pointAt(x, y, height) {
     const seen = this.#viewAt(x, y);
     if (!seen) return null;
@@ -451,8 +451,8 @@ export class Stage {
   }
 
   /**
-   * Returns where a point of the world is seen in each view, as drawn last, in pixels of the page.
-   * A point that is out of sight is at the edge of the view, on its side.
+   * Returns where a point of the world is seen in each view, as drawn last, in CSS pixels. A point
+   * that is out of sight is at the edge of the view, on its side.
    */
   placesOf(point) {
     const { width, height, clientWidth } = this.canvas;

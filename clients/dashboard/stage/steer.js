@@ -56,7 +56,7 @@ export class Steering {
     stage.canvas.after(this.rings);
     /** Directions of the keys that are down. */
     this.down = new Map();
-    /** Where the pointer holds the light, in pixels of the page. */
+    /** Where the pointer holds the light, in CSS pixels. */
     this.held = null;
     this.listeners = { keydown: (event) => this.#press(event), keyup: (event) => this.#let(event),
       blur: () => this.down.clear(), pointermove: (event) => this.#hover(event) };

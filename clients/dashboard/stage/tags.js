@@ -11,7 +11,7 @@ import { project } from './math.js';
 /** More names than these would hide the robots. */
 const TAGS_MAX = 16;
 const [HEIGHT_PX, WIDTH_PX, CROWDED_PX] = [22, 90, 24];
-/** Long names are wider than their tag at least is. */
+/** Long names are wider than the minimum width of a tag. */
 const WIDER = 1.4;
 
 export class Tags {

@@ -11,7 +11,7 @@ const FINE = 14 * BINS;
 const RIGHT_PX = 12;
 const TOP_PX = 8;
 const AXIS_PX = 34;
-/** Narrower maps have sizes as numbers alone. */
+/** Narrower maps show sizes only as numbers. */
 const NARROW_PX = 500;
 const ROW_PX = 34;
 const SHOWN = 24;
@@ -82,7 +82,7 @@ export class AtlasMap {
       const cut = cutOf(all.edges[0], all.edges.at(-1));
       const parts = cut ? await Promise.all([histogram({ hi: cut }), histogram({ lo: cut })]) : [];
       if (turn !== this.loads) return;
-      this.turn++; // bodies that are still to come are of another axis
+      this.turn++; // bodies that are still to come belong to another axis
       this.selected = this.last = this.anchor = undefined;
       fill(this.list);
       this.#name(measure, measure ? all.outside.reduce((sum, n) => sum + n, 0) : 0);
@@ -106,7 +106,7 @@ export class AtlasMap {
       `${without ? ` ${countOf(without, 'body has', 'bodies have')} no value.` : ''}`);
   }
 
-  /** Returns what the axis shows of a body; null: it has none. */
+  /** Returns what the axis shows for a body; null: it has none. */
   #of(body) {
     return this.measure ? body.measures[this.measure] : body.score;
   }

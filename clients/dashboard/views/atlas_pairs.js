@@ -40,7 +40,7 @@ export class AtlasPairs {
       const without = map.without_value
         ? ` ${countOf(map.without_value, 'body has', 'bodies have')} no value.` : '';
       say(this.words, `${countOf(map.bodies, 'body', 'bodies')}.${without}${tau} Click a place, ` +
-        'or drag over some, to see the bodies there.');
+        'or drag over several, to see the bodies there.');
       this.square.show({ a: map.edges_score, b: map.edges_measure, counts: map.counts,
         names: ['◂ better score', name] }, `Bodies by score and ${name}. Arrow keys choose a ` +
         'place, and with Shift a range. The bodies are listed below.');

@@ -1,4 +1,4 @@
-/** What is known of designs in lists and on the stage in addition to their scores: the mean in
+/** What is known about designs in lists and on the stage in addition to their scores: the mean in
  * fresh worlds, and the newest certificate. It is loaded where designs are shown. */
 
 import { getJson } from '../lib/api.js';

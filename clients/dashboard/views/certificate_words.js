@@ -27,7 +27,7 @@ export function levelWords({ axis, level, environments, precision }, base) {
 }
 
 /**
- * Returns what holds of a design and what its score depends on, as texts with a class. The report
+ * Returns what holds for a design and what its score depends on, as texts with a class. The report
  * says so: the rules are those of the library.
  * @param {any} design of the report
  * @param {{n_designs: number}} report

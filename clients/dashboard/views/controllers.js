@@ -68,7 +68,7 @@ function periodOf({ control_period_s: period }) {
  * from. */
 function lineageOf(controller, trainings) {
   const training = trainings.find((one) => one.controller?.sha256 === controller.sha256);
-  if (!training) return [h('td.muted', { 'data-name': 'Made by' }, 'no training here'),
+  if (!training) return [h('td.muted', { 'data-name': 'Made by' }, 'no training run here'),
     h('td', { 'data-name': 'From' }, '–')];
   return [h('td', { 'data-name': 'Made by' },
     h('a', { href: `#/trainings/${training.id}` }, training.label ?? `Training ${training.id}`)),

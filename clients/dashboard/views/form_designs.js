@@ -36,7 +36,7 @@ export class LearnedOn {
     };
     this.choice = h('select', { name: 'learn-on', onchange: () => this.show(true) },
       [['random', 'random bodies'], ['designs', 'these designs'],
-        ['population', 'a population'], ['atlas', 'bodies of an atlas']].map(([value, text]) =>
+        ['population', 'a population'], ['atlas', 'bodies from an atlas']].map(([value, text]) =>
         h('option', { value }, text)));
     this.head = field('Bodies to train on', this.choice);
     this.elements = [this.head, ...Object.values(this.parts).flat()];

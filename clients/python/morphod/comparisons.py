@@ -71,9 +71,9 @@ class ControllerComparison:
     neither controller. `low` and `high` are its 95 % interval for other designs and other
     environments. `verdict` says whether b is "better", "worse" or "undecided". `improved` designs
     are better with b, and `sign_test_p` is the p of a sign test. `differences` are the settings of
-    their trainings that differ, except the seed, as {"setting", "values"}: they, too, may explain
-    the difference. If a controller's file does not say how it was trained, `training_known` of that
-    side is false and only sensors and control periods are compared. `data` has the names of
+    their training runs that differ, except the seed, as {"setting", "values"}: they, too, may
+    explain the difference. If a controller's file does not say how it was trained, `training_known`
+    of that side is false and only sensors and control periods are compared. `data` has the names of
     `morphoctl train compare --json`.
     """
 
@@ -132,7 +132,7 @@ def differences_of(a: Mapping[str, Any], b: Mapping[str, Any], place: str = ""
 
 
 def recipe_of(controller: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Returns the settings of a controller's training; None if its file does not have them."""
+    """Returns the settings of a controller's training run; None if its file does not have them."""
     try:
         recipe = json.loads(controller["metadata"].get("morphod.settings", ""))
     except ValueError:
@@ -142,7 +142,7 @@ def recipe_of(controller: Mapping[str, Any]) -> dict[str, Any] | None:
 
 def training_differences(controllers: Sequence[Mapping[str, Any]],
                          recipes: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
-    """Returns what differs between two controllers and their trainings, except the seed."""
+    """Returns what differs between two controllers and their training runs, except the seed."""
     conditions = []
     for controller, recipe in zip(controllers, recipes):
         of_one: dict[str, Any] = {"sensor": controller["sensor"]}

@@ -64,8 +64,8 @@ class Bar:
 
 
 def doing(job: Mapping[str, Any]) -> str:
-    """Describes what a job does while no step is completed: "drawing the pretraining's bodies, 2
-    %, 2:20 left"; empty if it has ended."""
+    """Describes what a job does while no step is completed: "drawing the pretraining bodies, 2 %,
+    2:20 left"; empty if it has ended."""
     phase, progress = job.get("phase"), job.get("progress") or {}
     if job["state"] == "queued" and job.get("n_waiting"):
         stored = job["n_designs"] - job["n_waiting"]
@@ -84,7 +84,7 @@ def doing(job: Mapping[str, Any]) -> str:
     return ", ".join(words)
 
 
-_PHASES = {"preparing": "drawing the pretraining's bodies", "replaying": "drawing earlier bodies"}
+_PHASES = {"preparing": "drawing the pretraining bodies", "replaying": "drawing earlier bodies"}
 
 
 def clock(seconds: float) -> str:

@@ -1,4 +1,4 @@
-/* Trainings and campaigns as JSON and CSV: non-finite numbers, a job that waits for room, a job
+/* Training runs and campaigns as JSON and CSV: non-finite numbers, a job that waits for room, a job
  * that continued from a checkpoint, an exhausted campaign, replicates; and Newick text in
  * pieces. */
 #include "unit/check.h"

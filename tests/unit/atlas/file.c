@@ -270,7 +270,7 @@ static void damage(int set)
   CHECK(fixture_open(path) != NULL);
 }
 
-/* Changes members of the head and makes its checksum right again. */
+/* Changes members of the head and fixes its checksum. */
 static void head_that_lies(void)
 {
   static const struct {
@@ -310,7 +310,7 @@ static void head_that_lies(void)
   }
 }
 
-/* Changes one number of a file with measures, and makes the checksums right again. */
+/* Changes one number of a file with measures, and fixes the checksums. */
 static void measures_that_lie(void)
 {
   static const struct {
@@ -354,7 +354,7 @@ static void measures_that_lie(void)
   }
 }
 
-/* Two keys in the wrong order, and a score that is not a number, with a right checksum. */
+/* Two keys in the wrong order, and a score that is not a number, with a correct checksum. */
 static void blocks_that_lie(void)
 {
   char path[FIXTURE_PATH];

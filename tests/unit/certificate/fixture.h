@@ -6,7 +6,7 @@
 
 #include <morpho/certificate.h>
 
-/* Returns a base in float32 with a named set, or with n worlds of a training (set NULL). */
+/* Returns a base in float32 with a named set, or with n worlds of a training run (set NULL). */
 static inline struct mo_certificate_base base_of(const char *set, uint32_t n)
 {
   struct mo_environment *environments = make_zeros(MO_SET_ENVIRONMENTS_MAX, sizeof(*environments));

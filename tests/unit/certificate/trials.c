@@ -175,7 +175,7 @@ static void worlds(void)
     low_friction += f->friction < 1.0 / 3 + 0.5;
   }
   CHECK_INT(low_friction, 32); /* half of a Latin hypercube, exactly */
-  /* The draws of stored certificates, and not those of a training or request with this seed. */
+  /* The draws of stored certificates, and not those of a training run or request with this seed. */
   struct mo_factors expected[64], others[64];
   REQUIRE_OK(mo_factors_draw(&settings.ranges, 1, UINT32_MAX - 1, 64, expected));
   REQUIRE_OK(mo_factors_draw(&settings.ranges, 1, 0, 64, others));

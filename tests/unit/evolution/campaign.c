@@ -163,7 +163,7 @@ static void given_and_excluded(void)
   mo_seen_free(NULL);
 }
 
-/* ---- bodies of a pretraining ---- */
+/* ---- bodies of a pretraining run ---- */
 
 #define BATCH 300
 #define STEPS 4
@@ -179,7 +179,7 @@ static int next_body(struct mo_body_stream *stream, uint64_t body[W], uint64_t f
   return r;
 }
 
-/* Exactly the bodies that a real pretraining learns from in its first steps. */
+/* Exactly the bodies that a real pretraining run learns from in its first steps. */
 static void pretraining(void)
 {
   struct mo_training_settings settings = mo_training_defaults(MO_TRAINING_PRETRAIN);
@@ -244,8 +244,8 @@ static void pretraining_elsewhere(void)
   CHECK_INT(mo_form_set_count(again), 1200);
 }
 
-/* Counts the forms of a pretraining's first n bodies that fit the workspace and are not in the set;
- * `add`: adds them. */
+/* Counts the forms of a pretraining run's first n bodies that fit the workspace and are not in the
+ * set; `add`: adds them. */
 static int missing_forms(uint64_t seed, int n, struct mo_workspace workspace,
                          struct mo_form_set *set, bool add)
 {

@@ -1,5 +1,5 @@
-/* settings.c: names, presets, requests that must be refused with a reason, and the training inside
- * a campaign. */
+/* settings.c: names, presets, requests that must be refused with a reason, and the training run
+ * inside a campaign. */
 #include "fixture.h"
 
 static void names(void)
@@ -161,7 +161,7 @@ static void simultaneous(void)
       CHECK(rate(&training, start + length - 1) < 0.1 * peak + 1e-5);
   }
   CHECK(mo_campaign_training(&s, 1).seed == training.seed);
-  s.generations = 0; /* nothing is learned, but the training can be created */
+  s.generations = 0; /* nothing is learned, but the training run can be created */
   CHECK_INT(mo_campaign_training(&s, 0).n_steps, 1);
 }
 

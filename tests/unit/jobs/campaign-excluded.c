@@ -110,7 +110,7 @@ SERVICE_CASE(leaves_out_what_was_learned_from, 3)
   request.record.settings.exclude_pretraining = true;
   CHECK_INT(submit_campaign(&request), MO_ERR_LIMIT); /* before anything is stored or drawn */
   CHECK_SAYS(fixture.message, "exclude_pretraining false");
-  /* The five pretrainings together exceed the limit, although each one is below it; written as
+  /* The five pretraining runs together exceed the limit, although each one is below it; written as
    * other programs may write it. */
   put_long(5, &line, &line);
   request.controller = "long";
@@ -190,7 +190,7 @@ SERVICE_CASE(reports_what_cannot_be_read, 1)
 }
 
 /* A lineage is cut off where it becomes too long to read, and that is reported. With too many
- * pretrainings, the campaign is refused with a message that says why. */
+ * pretraining runs, the campaign is refused with a message that says why. */
 SERVICE_CASE(reports_long_lineages, 1)
 {
   const struct said tuned = {"finetune", NULL, NULL, NULL, NULL};

@@ -71,7 +71,7 @@ static inline void plain_steps(const struct plain *plain, struct mo_training *tr
   free(gradient);
 }
 
-/* Returns the hash of the file that a training exports. */
+/* Returns the hash of the file that a training run exports. */
 static inline struct mo_sha256 plain_result(const struct mo_training *training, const char *parent,
                                             const char *code_version,
                                             const struct mo_training_lineage *lineage)

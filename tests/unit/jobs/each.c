@@ -1,5 +1,6 @@
-/* each.c: trainings of each design alone, with a fake back end: each design ends as a training of
- * its own does, whatever interrupts the job, and the controllers that were requested are kept. */
+/* each.c: training runs of each design alone, with a fake back end: each design ends as a training
+ * run of its own does, whatever interrupts the job, and the controllers that were requested are
+ * kept. */
 #include <limits.h>
 
 #include "fakes.h"
@@ -22,7 +23,7 @@ static struct mo_training_request each_of(const struct mo_bits *genotypes, uint3
   return request;
 }
 
-/* Runs the design in a training of its own, and returns what its row must be. */
+/* Runs the design in a training run of its own, and returns what its row must be. */
 static struct mo_training_body alone(const struct mo_bits *genotype)
 {
   struct mo_training_request request = each_of(genotype, 1);

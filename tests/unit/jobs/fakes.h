@@ -73,7 +73,7 @@ static inline int64_t evaluate(const struct mo_bits *genotypes, uint32_t n)
   return submit_evaluation(&request);
 }
 
-/* ---- trainings ---- */
+/* ---- training runs ---- */
 
 #define STEPS 18
 #define BATCH 8
@@ -93,7 +93,7 @@ static inline struct mo_training_request pretraining(const char *name)
   return request;
 }
 
-/* Returns the hash of the file that a training must export. parent_digits, lineage: as in
+/* Returns the hash of the file that a training run must export. parent_digits, lineage: as in
  * mo_training_export. */
 static inline struct mo_sha256 expect(const struct mo_training_request *request,
                                       const struct mo_controller *parent, const char *parent_digits,
@@ -131,7 +131,7 @@ static inline struct mo_training_status training_of(int64_t id)
   return status;
 }
 
-/* Returns whether a training succeeds with this result and without an attempt that counts. */
+/* Returns whether a training run succeeds with this result and without an attempt that counts. */
 static inline bool learns_to(int64_t id, const struct mo_sha256 *expected)
 {
   struct mo_job job;
@@ -232,7 +232,7 @@ static inline int extend(int64_t id, uint32_t generations)
   return mo_jobs_extend_campaign(service.jobs, id, generations, NULL, &fixture.message);
 }
 
-/* ---- trainings and campaigns, for behavior that they share ---- */
+/* ---- training runs and campaigns, for behavior that they share ---- */
 
 enum { TRAINING = -1 }; /* in addition to the modes of campaigns */
 

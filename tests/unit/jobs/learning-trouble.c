@@ -1,5 +1,5 @@
-/* learning-trouble.c: errors, damage and lack of space: trainings and campaigns wait, retry, and
- * end as if nothing had happened. */
+/* learning-trouble.c: errors, damage and lack of space: training runs and campaigns wait, retry,
+ * and end as if nothing had happened. */
 #include <fcntl.h>
 #include <signal.h>
 #include <sys/resource.h>
@@ -7,7 +7,7 @@
 #include "../store/fault_vfs.h"
 #include "fakes.h"
 
-/* ---- trainings and campaigns ---- */
+/* ---- training runs and campaigns ---- */
 
 /* Limits the size of files: the database fits, checkpoints do not. */
 static void limit_files(rlim_t bytes)
@@ -154,7 +154,7 @@ static bool damage(const char *path)
   return is_done;
 }
 
-/* ---- trainings ---- */
+/* ---- training runs ---- */
 
 SERVICE_CASE(waits_for_descriptors, 1)
 {
@@ -196,7 +196,7 @@ SERVICE_CASE(passes_over_damaged_checkpoints, 1)
     REQUIRE_OK(service_open());
     REQUIRE(await_step(id, 2));
     CHECK_INT(warnings, round);
-    CHECK(has_warned(round == 1 ? "using the previous one" : "restarting the training"));
+    CHECK(has_warned(round == 1 ? "using the previous one" : "restarting the training run"));
   }
   CHECK(ends_right(id, TRAINING));
 }

@@ -155,7 +155,7 @@ SERVICE_CASE(counts_scores_as_work, 2)
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
 }
 
-/* After a kill that counts, a training saves its first checkpoint early, regardless of its
+/* After a kill that counts, a training run saves its first checkpoint early, regardless of its
  * settings. */
 SERVICE_CASE(saves_early_after_a_kill, 1)
 {

@@ -55,7 +55,7 @@ SERVICE_CASE(of_trainings, 0)
   good.record.settings.kind = MO_TRAINING_FINETUNE;
   REFUSED(submit_training, MO_ERR_NOT_FOUND, "population 77", bad.record.population = 77);
   REFUSED(submit_training, MO_ERR_NOT_FOUND, "population",
-          bad.record.population = id); /* a training */
+          bad.record.population = id); /* a training run */
   CHECK_OK(mo_jobs_stop(service.jobs, STOP_MS));
   good = pretraining("");
   REFUSED(submit_training, MO_ERR_CANCELLED, "stopping", (void)0);

@@ -106,7 +106,7 @@ static inline void service_end(void *of_the_case)
   fixture_remove(fixture.path);
 }
 
-/* Makes a new folder, with no store open, in place of the previous one. It is removed at the end of
+/* Makes a new folder, with no store open, instead of the previous one. It is removed at the end of
  * the case. */
 static inline int service_begin(void)
 {
@@ -123,7 +123,7 @@ static inline int service_begin(void)
   return fixture_folder();
 }
 
-/* side_by_side: how many trainings, and how many campaigns, run at once; 0 = the default. */
+/* side_by_side: how many training runs, and how many campaigns, run at once; 0 = the default. */
 static inline int service_start(uint32_t side_by_side)
 {
   const int error = service_begin();

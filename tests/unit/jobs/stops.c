@@ -1,5 +1,5 @@
-/* stops.c: no matter how clients or stops of the process interrupt a training or campaign, it ends
- * as it would have without them. */
+/* stops.c: no matter how clients or stops of the process interrupt a training run or campaign, it
+ * ends as it would have without them. */
 #include <fcntl.h>
 #include <signal.h>
 #include <sys/wait.h>

@@ -1,4 +1,4 @@
-/* trainings.c: trainings with a fake back end, in which gradients are a function of robots and
+/* trainings.c: training runs with a fake back end, in which gradients are a function of robots and
  * weights: requests, results, order and exports. */
 #include "fakes.h"
 #include "jobs/held_out.h"
@@ -64,7 +64,8 @@ SERVICE_CASE(learns, 1)
   CHECK_OK(check_whole());
 }
 
-/* Runs several trainings with a limit on how many run at once. Returns the order of their steps. */
+/* Runs several training runs with a limit on how many run at once. Returns the order of their
+ * steps. */
 static size_t train(uint32_t side_by_side, int n, int64_t *ids, int64_t *tags)
 {
   struct mo_training_request request = pretraining("");
@@ -172,7 +173,7 @@ SERVICE_CASE(tunes_a_population, 1)
   CHECK_OK(mo_held_out_load(store, &status, &held_out));
   CHECK(held_out.n_designs == 3 && memcmp(held_out.genotypes, best, 3 * sizeof(*best)) == 0);
   mo_held_out_free(&held_out);
-  /* A finetuning that starts from the result, on listed designs. */
+  /* A finetuning run that starts from the result, on listed designs. */
   request.record.population = 0;
   request.parent = "tuned";
   request.genotypes = genotypes;

@@ -141,7 +141,7 @@ static void skipped(void)
           : kind == 5 ? fabs(report.mean_loss - 0.8) < 1e-15
                       : true);
   }
-  REQUIRE(advance(training, made_up, &report) == MO_OK); /* and the training continues */
+  REQUIRE(advance(training, made_up, &report) == MO_OK); /* and the training run continues */
   CHECK(!report.skipped && !same_weights(training, before));
 }
 

@@ -1,4 +1,4 @@
-/* checkpoint.c: a training saved at any step continues to the same bytes; damaged files are
+/* checkpoint.c: a training run saved at any step continues to the same bytes; damaged files are
  * refused; lineage. */
 #include "fixture.h"
 
@@ -33,8 +33,8 @@ static void resume(void)
     const uint32_t n = mo_training_settings_of(whole)->n_steps;
     struct blob a = encoded(whole), b = a;
     for (uint32_t step = 0; step < n; step++) {
-      /* One training is never saved; the other is saved and restored at every step, with or without
-       * a draw. */
+      /* One training run is never saved; the other is saved and restored at every step, with or
+       * without a draw. */
       struct mo_training *broken = decoded(b);
       if (step % 3 == 1)
         draw(broken);
@@ -215,8 +215,8 @@ static void wrong_contents(void)
       {SENSOR, 4, {2}, "sensor must be \"inverse_sqrt\" or \"inverse_square\", got number 2"},
       {SETTINGS_BYTES, 4, {UINT32_MAX}, "its settings extend past its end"},
       {SETTINGS_BYTES, 4, {13}, "the checkpoint has invalid settings"},
-      {STEP, 4, {13}, "more steps than its training"},
-      {SKIPPED, 4, {13}, "more steps than its training"},
+      {STEP, 4, {13}, "more steps than its training run"},
+      {SKIPPED, 4, {13}, "more steps than its training run"},
       {DRAWS, 8, {1}, "stream of bodies"},
       {N_DESIGNS, 8, {0}, "its number of designs"},
       {N_DESIGNS, 8, {UINT64_MAX}, "its number of designs"},
@@ -310,7 +310,7 @@ static void lineage(void)
              ",\"designs\":4}");
   const char *designs = mo_controller_get_metadata(c, "morphod.designs_crc64");
   CHECK(designs != NULL && strlen(designs) == 16);
-  /* The file can be read back, and equal trainings export equal files. */
+  /* The file can be read back, and equal training runs export equal files. */
   REQUIRE(mo_training_export(decoded(encoded(training)), "ab12", "1.2.3", &code, &again) == MO_OK);
   struct blob file, file2;
   REQUIRE(mo_controller_encode(c, &file.bytes, &file.size) == MO_OK);

@@ -1,5 +1,5 @@
-/* designs.c: a finetuning with designs that change between steps, and a training that becomes
- * longer, as campaigns need them. */
+/* designs.c: a finetuning run with designs that change between steps, and a training run that
+ * becomes longer, as campaigns need them. */
 #include "fixture.h"
 
 #include "learning/internal.h"
@@ -92,7 +92,7 @@ static void placed(void)
   CHECK_INT(mo_training_design_is_placed(beyond), 0);
 }
 
-/* A training of 4 steps that is extended to 9 ends like one of 9 steps. */
+/* A training run of 4 steps that is extended to 9 ends like one of 9 steps. */
 static void longer(void)
 {
   struct mo_training *training = begin(4, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]),

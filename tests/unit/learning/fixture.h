@@ -1,5 +1,5 @@
-/* fixture.h: trainings with made-up gradients: a training accepts any gradient, and these tests are
- * about everything else. */
+/* fixture.h: training runs with made-up gradients: a training run accepts any gradient, and these
+ * tests are about everything else. */
 #ifndef MORPHO_TESTS_LEARNING_FIXTURE_H
 #define MORPHO_TESTS_LEARNING_FIXTURE_H
 
@@ -83,7 +83,7 @@ static inline int advance(struct mo_training *training, struct made_up *made_up,
   return apply(training, made_up, report);
 }
 
-/* Returns a finetuning on the first n held-out designs, from random weights times `factor`. */
+/* Returns a finetuning run on the first n held-out designs, from random weights times `factor`. */
 static inline struct mo_training *finetuning(const struct mo_training_settings *settings,
                                              uint32_t n, float factor)
 {

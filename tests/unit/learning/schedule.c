@@ -103,7 +103,7 @@ static void cosine(void)
   CHECK(worst < 5e-16);
 }
 
-/* The bits are part of the format: a restored training must continue with the same rates. */
+/* The bits are part of the format: a restored training run must continue with the same rates. */
 static void bits(void)
 {
   const struct mo_schedule s = mo_schedule_presets[MO_SCHEDULE_ONE_COSINE],

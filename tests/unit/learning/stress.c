@@ -1,5 +1,5 @@
-/* stress.c: trainings with settings far outside the physics' intended range. Whatever the robots
- * do, weights, moments and scores stay finite, and every robot that diverged is reported. */
+/* stress.c: training runs with settings far outside the physics' intended range. Whatever the
+ * robots do, weights, moments and scores stay finite, and every robot that diverged is reported. */
 #include <morpho/compute.h>
 #include <morpho/learning.h>
 
@@ -97,7 +97,7 @@ static void the_reverser_reverses(void)
 struct stress {
   const char *name;
   double stiffness_factor, dt_s, weight_factor, drop_m,
-      sigma_m; /* sigma 0 = as trainings draw it */
+      sigma_m; /* sigma 0 = as training runs draw it */
   bool light_inside, full, reverser;
 };
 
@@ -163,7 +163,7 @@ static void start(const struct stress *s, enum mo_sensor sensor, double bound, u
   run->training = make_training(&settings, run->start, run->designs[0], ROBOTS);
 }
 
-/* The robots that the training drew, in the environments of the condition. */
+/* The robots that the training run drew, in the environments of the condition. */
 static void move_house(const struct stress *s, const struct mo_robot *drawn, uint32_t step,
                        struct training_run *run)
 {

@@ -1,6 +1,6 @@
-/* train.c: a tiny training with real gradients: three designs, 80 time steps, 10 steps of learning.
- * The mean loss of all its robots must decrease, and an interrupted training must end with the same
- * bytes. */
+/* train.c: a tiny training run with real gradients: three designs, 80 time steps, 10 steps of
+ * learning. The mean loss of all its robots must decrease, and an interrupted training run must end
+ * with the same bytes. */
 #include "fixture.h"
 
 enum { DESIGNS = 3, STEPS = 10, BATCH = 4 };

@@ -1,4 +1,5 @@
-/* worlds.c: trainings in environments of their own: which robot gets which, checkpoints, lineage.
+/* worlds.c: training runs in environments of their own: which robot gets which, checkpoints,
+ * lineage.
  */
 #include "fixture.h"
 
@@ -76,7 +77,7 @@ static void drawn_by_the_stream(void)
 }
 
 /* The same robots with any number of threads, drawn ahead or not, and after a checkpoint. The
- * bodies of a pretraining are those of the same seed without its own environments. */
+ * bodies of a pretraining run are those of the same seed without its own environments. */
 static void same_again(void)
 {
   for (int kind = 0; kind < 2; kind++) {
@@ -264,7 +265,8 @@ static void checkpoints(void)
   }
 }
 
-/* Grids of other sizes stay in the training when the caller drops them, and in its checkpoints. */
+/* Grids of other sizes stay in the training run when the caller drops them, and in its
+ * checkpoints. */
 static void grids(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);

@@ -36,10 +36,10 @@ static void texts(void)
   } tries[] = {
       {"scoring", "null", "generation 5: scoring 34 of 64 designs  210 rollouts/s  0:03:12 left"},
       {"preparing", "null",
-       "generation 5: preparing 34 of 64 bodies of the pretraining  210 rollouts/s  0:03:12 until "
-       "they are drawn"},
+       "generation 5: preparing 34 of 64 pretraining bodies  210 rollouts/s  0:03:12 until they "
+       "are drawn"},
       {"preparing", "4",
-       "generation 5: preparing 34 of 64 bodies of the pretraining  210 rollouts/s  0:03:12 left"},
+       "generation 5: preparing 34 of 64 pretraining bodies  210 rollouts/s  0:03:12 left"},
       {"idle", "4", ""}};
   char text[512];
   for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {

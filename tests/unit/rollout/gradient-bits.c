@@ -1,7 +1,7 @@
-/* The bits of the fast gradient, like bits.c for scores: a training that continues after an upgrade
- * must continue with the same weights, or its fingerprint must show that it does not. An intended
- * change of bits raises MO_GRADIENT_VERSION and copies the hashes that this test prints into the
- * table. */
+/* The bits of the fast gradient, like bits.c for scores: a training run that continues after an
+ * upgrade must continue with the same weights, or its fingerprint must show that it does not. An
+ * intended change of bits raises MO_GRADIENT_VERSION and copies the hashes that this test prints
+ * into the table. */
 #include "../make.h"
 #include "compute/internal.h"
 

@@ -332,7 +332,7 @@ static void long_falls(void)
 enum { WALKERS = 30 };
 
 /* The shipped controller follows a light that leads it, although it was trained with fixed
- * lights. Bodies are the first of its pretraining's stream. */
+ * lights. Bodies are the first of its pretraining run's stream. */
 static void walks(void)
 {
   struct mo_robot *robots = make_robots(lattice, 1, 1, WALKERS);

@@ -148,7 +148,7 @@ struct act life_choose(struct life *life)
 
 /* ---- the promise ---- */
 
-/* Reads a job as promised, except for the steps of a training: the store also lists those of
+/* Reads a job as promised, except for the steps of a training run: the store also lists those of
  * earlier runs. */
 static void look(struct life *life, enum mo_job_kind kind, struct subject *subject)
 {

@@ -323,7 +323,7 @@ static void inherits_a_population(void)
   submission.record.initial_campaign = first;
   int64_t second = submit_campaign(&submission);
   REQUIRE(second > 0);
-  /* As designs for a training: only those that did not diverge, best first. */
+  /* As designs for a training run: only those that did not diverge, best first. */
   for (uint32_t i = 0; i < made.n; i++)
     n_sound += isfinite(made.scores[i]) != 0;
   best = best_of(first, 0, &n);

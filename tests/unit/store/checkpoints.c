@@ -1,4 +1,4 @@
-/* checkpoints.c: checkpoints of trainings: rows and files stay consistent, whatever happens in
+/* checkpoints.c: checkpoints of training runs: rows and files stay consistent, whatever happens in
  * between. */
 #include <dirent.h>
 #include <fcntl.h>
@@ -12,7 +12,7 @@
 #include "one_store.h"
 #include "training_fixture.h"
 
-/* Submits a training and starts it. */
+/* Submits a training run and starts it. */
 static int64_t start_training(void)
 {
   const struct mo_training_request submission = submission_of(1000);
@@ -126,7 +126,7 @@ static void reads_checkpoints_while_they_go(void)
 }
 
 /* A process that runs out of descriptors has not lost a checkpoint. If it mistook this for damage,
- * the training would restart from the beginning. */
+ * the training run would restart from the beginning. */
 static void keeps_apart_damage_and_want_of_descriptors(void)
 {
   struct rlimit before, small;
@@ -172,7 +172,7 @@ static int drop(int64_t id, uint32_t step, struct mo_checkpoints_removed *remove
   return mo_store_checkpoints_remove(store, id, MO_JOB_TRAINING, step, removed);
 }
 
-/* Checkpoints that are needed to continue stay; a training that has ended needs none. */
+/* Checkpoints that are needed to continue stay; a training run that has ended needs none. */
 static void removes_what_is_not_needed(void)
 {
   struct mo_training_request submission = submission_of(1000);
@@ -227,7 +227,7 @@ static void *remove_checkpoints(void *context)
   return NULL;
 }
 
-/* A training with damaged newest checkpoints writes earlier steps again, while another thread
+/* A training run with damaged newest checkpoints writes earlier steps again, while another thread
  * deletes those. Every remaining row must have its file. */
 static void writes_again_what_is_removed(void)
 {

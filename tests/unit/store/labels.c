@@ -325,8 +325,8 @@ static void forgets_by_age(void)
   CHECK_OK(check_whole());
 }
 
-/* Campaigns and trainings are deleted with their files, each kind by its own rule. Jobs with a note
- * and jobs that are needed stay; an imported campaign stays until its import is old enough. */
+/* Campaigns and training runs are deleted with their files, each kind by its own rule. Jobs with a
+ * note and jobs that are needed stay; an imported campaign stays until its import is old enough. */
 static void forgets_runs_by_age(void)
 {
 #define KEEPS(kind) ((struct mo_store_config){.keep_jobs_s = {[MO_JOB_##kind] = 60}})

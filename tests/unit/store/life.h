@@ -37,9 +37,9 @@ struct subject {
   int64_t id;
   uint64_t seed;
   enum mo_job_state state;
-  uint32_t done; /* designs of an evaluation, steps of a training's current run, or losses of a
+  uint32_t done; /* designs of an evaluation, steps of a training job's current run, or losses of a
                     campaign's next generation */
-  uint32_t n_checkpoints, validated; /* of a training: step of the newest validation */
+  uint32_t n_checkpoints, validated; /* of a training run: step of the newest validation */
   int64_t generation, told;          /* of a campaign: the newest, or −1; of a study, the batch */
   uint32_t inside;                   /* step of the checkpoint inside the next generation, or 0 */
   uint32_t until;                    /* its generation */
@@ -101,7 +101,7 @@ struct life {
 };
 
 /* A script of acts that covers every kind. Up to HELD, the folder has unfinished jobs: a running
- * training and a running campaign, with checkpoints. */
+ * training run and a running campaign, with checkpoints. */
 enum { SCRIPT = 32, COUNTED_FROM = 4, HELD = 15 };
 extern const struct act life_script[SCRIPT];
 

@@ -54,7 +54,7 @@ static int watch(sqlite3 *db, char **message, const struct sqlite3_api_routines 
                              : result;
 }
 
-/* Copies job 1 (an evaluation), job 2 (a training) and job 3 (a campaign), in this order. The
+/* Copies job 1 (an evaluation), job 2 (a training run) and job 3 (a campaign), in this order. The
  * oldest 24 of each kind take all states in turn; all others have the same state. */
 static int fill(void)
 {
@@ -149,7 +149,7 @@ static void pages_of_jobs(void)
   struct mo_campaign_status campaigns[PAGE];
   REQUIRE_OK(start());
   const int64_t places[] = {0, 2 * ROWS + 20, ROWS + 20, 20, 2};
-  /* Pages of running trainings and campaigns. */
+  /* Pages of running training runs and campaigns. */
   const int64_t waiting[] = {ROWS + 5, ROWS + 11, 2 * ROWS + 5};
   for (int state = -1; state < MO_JOB_STATES; state++)
     for (size_t p = 0; p < COUNT(places); p++)
@@ -196,7 +196,7 @@ static void pages_name_the_states_that_are_shown(void)
   static struct mo_training_status trainings[40];
   static const int64_t none[MO_WAITING_MAX + 1];
   REQUIRE_OK(start());
-  const int64_t first = 4 + ROWS; /* trainings: queued, running, paused, … */
+  const int64_t first = 4 + ROWS; /* training runs: queued, running, paused, … */
   const int64_t waiting[] = {first + 7, first + 1};
   struct mo_job_query query = {
       .state = MO_JOB_PAUSED, .kind = MO_JOB_TRAINING, .waiting = waiting, .n_waiting = 2};

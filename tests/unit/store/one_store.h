@@ -92,7 +92,7 @@ static inline struct mo_bits *best_of(int64_t id, uint32_t best, uint32_t *n)
   return check_keep(found, free);
 }
 
-/* Returns whether the settings of two campaigns or trainings are stored as the same text. */
+/* Returns whether the settings of two campaigns or training runs are stored as the same text. */
 static inline bool same_settings(enum mo_job_kind kind, const void *a, const void *b)
 {
   struct mo_text texts[2] = {{0}, {0}};

@@ -207,8 +207,8 @@ static void is_found_out(int lies)
 
 /* ---- at every change in turn ---- */
 
-/* Restarts requeued jobs. A training restarts from its checkpoint, so it may have nothing to write
- * yet. */
+/* Restarts requeued jobs. A training run restarts from its checkpoint, so it may have nothing to
+ * write yet. */
 static bool prepare(struct life *life, enum act_kind kind, int index)
 {
   const struct subject *training = &life->jobs[MO_JOB_TRAINING][0];

@@ -103,7 +103,7 @@ static struct mo_store_stats stats_of_store(void)
   return stats;
 }
 
-/* Submits n jobs of one design each, and a training that runs. */
+/* Submits n jobs of one design each, and a training run that runs. */
 static int64_t submit_jobs(int n, int64_t *ids)
 {
   const struct mo_training_request training = submission_of(100);

@@ -1,5 +1,5 @@
-/* trainings.c: what the store records about trainings: settings, curves, code, states and results.
- * Whether requests are read back unchanged is tested over HTTP. */
+/* trainings.c: what the store records about training runs: settings, curves, code, states and
+ * results. Whether requests are read back unchanged is tested over HTTP. */
 #include "by_hand.h"
 #include "one_store.h"
 #include "rollout/physics.h"

@@ -115,8 +115,8 @@ class AsyncStoredAtlas:
         return await self._connection.json(Request.get(f"{self._path}/compare", **params))
 
     def sample(self, count: int, seed: int = 1) -> dict[str, Any]:
-        """Names bodies of the whole ranking as a `population` of a finetuning: one of each of
-        `count` equally large parts, drawn with the seed."""
+        """Names bodies from the whole ranking as the `population` of a finetuning run: one from
+        each of `count` equally large parts, drawn with the seed."""
         return {"atlas": self.name, "count": count, "seed": seed}
 
     async def save(self, path: str | os.PathLike[str]) -> pathlib.Path:

@@ -321,9 +321,9 @@ class AsyncClient(Scoring, Learning, Atlases, Certifying):
     async def compare_controllers(self, a: str | AsyncTraining, b: str | AsyncTraining, *,
                                   seed: int = 1, designs: int = 64, environments: int = 16,
                                   **settings: Any) -> ControllerComparison:
-        """Compares two controllers, or the results of two trainings, on the same held-out bodies
-        and environments. `settings` are passed to `evaluate` for both controllers, for example
-        `physics`."""
+        """Compares two controllers, or the results of two training runs, on the same held-out
+        bodies and environments. `settings` are passed to `evaluate` for both controllers, for
+        example `physics`."""
         return await comparing.compare_controllers(self, a, b, (seed, designs, environments),
                                                    settings)
 

@@ -1,4 +1,4 @@
-"""Trainings and campaigns of the service, as objects."""
+"""Training runs and campaigns of the service, as objects."""
 
 from __future__ import annotations
 
@@ -59,9 +59,10 @@ class AsyncTraining(AsyncJob):
         return frame([row async for row in self._connection.pages(path)])
 
     async def each(self) -> pd.DataFrame:
-        """Returns a table of the bodies that a finetuning with `each` trained individually: their
-        scores before (`zero_shot`) and after (`finetuned`), and their controllers. Its `attrs` have
-        the summary: Kendall's tau between the two scores and the mean gain, with intervals."""
+        """Returns a table of the bodies that a finetuning run with `each` trained individually:
+        their scores before (`zero_shot`) and after (`finetuned`), and their controllers. Its
+        `attrs` have the summary: Kendall's tau between the two scores and the mean gain, with
+        intervals."""
         path = f"/v1/trainings/{self.id}/each"
         rows = [row async for row in self._connection.pages(path)]
         table = frame(rows)

@@ -29,7 +29,7 @@ def interrupted(*jobs: AsyncJob) -> KeyboardInterrupt:
 
 
 class AsyncJob:
-    """What evaluations, campaigns and trainings have in common.
+    """What evaluations, campaigns and training runs have in common.
 
     `data` is the job as last reported by the service, with the names of the contract.
     """
@@ -177,7 +177,8 @@ class AsyncJob:
         await self._act("resume")
 
     async def cancel(self) -> None:
-        """Cancels it permanently. Results that a campaign or training has committed are kept."""
+        """Cancels it permanently. Results that a campaign or training run has committed are
+        kept."""
         await self._act("cancel")
 
     async def weigh(self, weight: float) -> None:

@@ -1,4 +1,4 @@
-"""The part of the client for trainings and controllers."""
+"""The part of the client for training runs and controllers."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class Learning:
                        label: str | None = None, each: bool = False,
                        keep: Literal["none", "all"] | None = None, best: int | None = None,
                        **settings: Any) -> AsyncTraining:
-        """Starts the training of a controller on bodies, or on a `population` of the service such
-        as `{"campaign": "12"}`, or `StoredAtlas.sample(500)` for bodies of the whole ranking of an
+        """Starts finetuning a controller on bodies, or on a `population` of the service such as
+        `{"campaign": "12"}`, or `StoredAtlas.sample(500)` for bodies from the whole ranking of an
         atlas; `environments` as in `pretrain`.
 
         With `each`, every body learns individually, starting from the same controller, and is
@@ -68,7 +68,7 @@ class Learning:
         return AsyncTraining(self._connection, data)
 
     async def training(self, id: str | int) -> AsyncTraining:
-        """Returns the training with an id."""
+        """Returns the training run with an id."""
         data = await self._connection.json(Request.get(f"/v1/trainings/{id}"))
         return AsyncTraining(self._connection, data)
 

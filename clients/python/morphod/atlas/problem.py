@@ -34,10 +34,10 @@ class Measures(NamedTuple):
 
 
 class Problem:
-    """Find the body with the lowest loss of an atlas.
+    """Find the body with the lowest loss in an atlas.
 
-    Every evaluated body counts, including one that was evaluated before and one outside the atlas.
-    `evaluations` is their number, `distinct` the number of different bodies of the atlas among
+    Every evaluated body counts, including repeated ones and ones outside the atlas.
+    `evaluations` is their number, `distinct` the number of different bodies in the atlas among
     them, and `outside` how many were outside. A body outside (too large, in several pieces, empty)
     has the loss +infinity or, with `outside="raise"`, is an `OutsideError`; it is never repaired.
     `decode` makes a body of the atlas from any vector of numbers.

@@ -355,7 +355,7 @@ class Atlas:
     def best_by(self, name: str, k: int = 1, voxels: int | None = None, *,
                 order: Literal["descending", "ascending"] = "descending") -> NDArray[np.int64]:
         """The positions of the k bodies with the highest values of a measure, or with the lowest;
-        of equal values the lowest position. Bodies without a value come last."""
+        ties by lowest position. Bodies without a value come last."""
         if order not in ("descending", "ascending"):
             raise ValueError(f"order must be descending or ascending, not {order!r}")
         values = self.all_measures(name, voxels)
@@ -369,8 +369,7 @@ class Atlas:
                        f"{', '.join(self.measures) or 'none'}")
 
     def order(self, voxels: int | None = None) -> NDArray[np.int64]:
-        """The positions of a size, or of all bodies, the best first; of equal scores the lowest
-        position."""
+        """The positions of a size, or of all bodies, the best first; ties by lowest position."""
         return self._sorted(voxels)[0]
 
     def _sorted(self, voxels: int | None) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
