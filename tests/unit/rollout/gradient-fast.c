@@ -344,7 +344,7 @@ static void budgets_do_not_matter(void)
     }
 }
 
-/* A period of one step is no period. */
+/* A period of one step counts as no period. */
 static void periods_of_a_step_change_nothing(void)
 {
   struct mo_physics physics = physics_of(40);

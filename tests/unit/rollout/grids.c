@@ -86,7 +86,7 @@ static void usual_size(void)
   }
 }
 
-/* The edges of finer cells are no edges of the ground, so only rounding differs. */
+/* The edges of finer cells are not edges of the ground, so only rounding differs. */
 static void refined(void)
 {
   const uint32_t lanes[2] = {0, 1};

@@ -449,7 +449,7 @@ static void opens_version_before_re_evaluations(void)
   CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
 }
 
-/* Training runs of version 24 are read as before, and designs can be finetuned alone. */
+/* Training runs of version 24 are read as before, and designs can be finetuned individually. */
 static void opens_version_before_bodies(void)
 {
   const struct mo_evaluation_request drawn = draw_evaluation(2, 3);

@@ -142,7 +142,7 @@ static void survives_a_small_file_system(void)
   CHECK_OK(check_whole());
 }
 
-/* A copy of a state folder may have holes in place of the reserve. */
+/* A copy of a state folder may have holes instead of the reserve. */
 static void fills_the_holes_of_a_copy(void)
 {
   struct stat status = {.st_blocks = 0};

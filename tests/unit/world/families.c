@@ -74,7 +74,7 @@ static void shapes(void)
             steepest = fmax(steepest, fabs(h[k] - h[k - 1]) / recipe.spacing_m);
           rises += k > 0 && h[k] != h[k - 1];
           if ((k - 1) * recipe.spacing_m < begin_m - 1e-9)
-            CHECK(h[k] == level); /* up to the first height at begin_m or behind it */
+            CHECK(h[k] == level); /* up to the first height at begin_m or beyond it */
         }
         CHECK(lowest == MO_TERRAIN_FLOOR_M);
         CHECK(steepest <= 1 + 1e-12 && steepest > 0);
@@ -98,7 +98,7 @@ static void grids(void)
     CHECK(flat.terrain_heights_m[k] == MO_TERRAIN_FLOOR_M);
 }
 
-/* The tangent within a few ulp of the C library's, of which nothing depends on the bits. */
+/* The tangent is within a few ulp of the C library's; nothing depends on its bits. */
 static void slopes(void)
 {
   struct mo_terrain_recipe recipe = mo_terrain_recipe_default(MO_TERRAIN_SLOPE);
