@@ -24,7 +24,7 @@
 
 static const char usage[] =
     "Usage: morpho-bench evolution [OPTION…]\n\n  --population N    default 8192\n  --generations "
-    "N   default 100\n  --forms N         bodies of a pretraining that count as seen (default "
+    "N   default 100\n  --forms N         bodies of a pretraining run that count as seen (default "
     "12000000)\n  --threads N       threads that draw these (default 1)\n  --selection NAME  one "
     "of docs/evolution.md (default truncation)\n  --seed N          of the campaign (default 1)\n  "
     "--store PATH      commit every generation to a new state folder there, and read it back\n";

@@ -120,7 +120,7 @@ def main():
                         help=f"of {N_DESIGNS} designs each (default 30)")
     parser.add_argument("--sessions", type=int, default=1)
     parser.add_argument("--gradients", type=int, default=0, metavar="STEPS",
-                        help=f"steps of a training with {BATCH // SHARD} shards each")
+                        help=f"steps of a training run with {BATCH // SHARD} shards each")
     parser.add_argument("--bound", type=float,
                         help="per second: rollouts (300000), or shards (80)")
     asked = parser.parse_args()

@@ -23,7 +23,7 @@ static const char usage[] =
     "bodies\n  atlas     all bodies of at most ten voxels, their file and its queries, in a new "
     "folder in the given folder (default /tmp)\n  store     speed of durable submissions, saves "
     "and queries, in a new folder in the "
-    "given folder (default /tmp)\n  stream    the distinct bodies of a pretraining: time and "
+    "given folder (default /tmp)\n  stream    the distinct bodies of a pretraining run: time and "
     "memory\n  evolution  a campaign's bookkeeping without its rollouts; `morpho-bench evolution "
     "--help`\n\n  --bodies N         another number of bodies\n  --seed N           seed of the "
     "bodies' stream (default 1)\n  --workers N        threads of `accuracy`, `gradient-accuracy`, "

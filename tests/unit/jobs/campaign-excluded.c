@@ -626,7 +626,7 @@ static const struct check_case cases[] = {
     {"stops drawing if no campaign waits", draws_for_nobody},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"reports how long it draws", reports_how_long_it_draws},
-    {"excludes the bodies of a pretraining", leaves_out_what_was_learned_from},
+    {"excludes the bodies of a pretraining run", leaves_out_what_was_learned_from},
     {"reports unreadable lineages", reports_what_cannot_be_read},
     {"reports long lineages", reports_long_lineages},
     {"excludes what it can read", leaves_out_what_can_be_read},
