@@ -258,7 +258,7 @@ SERVICE_CASE(refuses_too_many_steps, 1)
   struct mo_training_request request = each_of(bodies(31, N), N);
   request.record.settings.n_steps = MO_TRAINING_STEPS_MAX / N + 1;
   CHECK_INT(submit_training(&request), MO_ERR_RANGE);
-  CHECK_SAYS(fixture.message, "a training has at most 1000000");
+  CHECK_SAYS(fixture.message, "a training run has at most 1000000");
 }
 
 static const struct check_case cases[] = {
