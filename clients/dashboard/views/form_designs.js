@@ -31,7 +31,7 @@ export class LearnedOn {
       designs: [field('Designs', this.designs, '.wide')],
       population: [field('Number of the campaign or evaluation', this.job),
         field('Only the best', this.best)],
-      atlas: [field('Atlas', this.atlas), field('Bodies of its whole ranking', this.count),
+      atlas: [field('Atlas', this.atlas), field('Bodies from its whole ranking', this.count),
         field('Seed of the draw', this.seed), field('Only if its file has the hash', this.sha256)],
     };
     this.choice = h('select', { name: 'learn-on', onchange: () => this.show(true) },
