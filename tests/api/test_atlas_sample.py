@@ -230,5 +230,5 @@ def test_draws_delay_no_other_request(start):
     assert len(done) < 26  # it did not wait for those that were queued
     for connection in drawing:
         reply = connection.getresponse()
-        assert reply.status == 422 and b"steps in all" in reply.read()
+        assert reply.status == 422 and b"steps in total" in reply.read()
         connection.close()

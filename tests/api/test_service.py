@@ -317,14 +317,14 @@ def test_what_is_missing_is_named(service):
     long = "é" * 41
     for path, words in (
             ("/v1/jobs/7777", 'job "7777".'), ("/v1/trainings/7777/steps", 'training "7777".'),
-            ("/v1/jobs/x", 'job "x": an id'), ("/v1/controllers/walker", 'controller "walker".'),
+            ("/v1/jobs/x", 'job "x": an id'), ("/v1/controllers/strider", 'controller "strider".'),
             ("/v1/controllers/a%22b", 'controller "a"b".'),
             (f"/v1/controllers/{quote(long)}", f'controller "{long[:40]}…".'),
             (f"/v1/controllers/{quote('x' + long)}", f'controller "x{long[:39]}…".'),
             ("/v1/atlases/flat", 'atlas "flat".'), ("/v1/designs/12", 'design "12": an id'),
             ("/v1/atlases/flat/compare?with=hilly", 'atlas "flat".'),
-            ("/v1/designs?sort=score&controller=walker", 'controller "walker".'),
-            ("/v1/scores?controller=walker", 'controller "walker".'),
+            ("/v1/designs?sort=score&controller=strider", 'controller "strider".'),
+            ("/v1/scores?controller=strider", 'controller "strider".'),
             ("/v1/environment-sets/moon", 'set of environments "moon".'),
             ("/v1/bundles?campaigns=7777", 'campaign "7777".'),
             ("/v1/campaigns/generations?campaigns=7777", 'campaign "7777".'),
