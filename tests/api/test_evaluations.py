@@ -154,7 +154,7 @@ def test_what_prefer_does_not_say_is_ignored(service, prefer):
 
 
 def test_short_wait_gives_202(service):
-    reply = service.evaluate({"designs": BATCH, "physics": {"n_steps": 200000}}, wait=1)
+    reply = service.evaluate({"designs": BATCH, "physics": {"n_steps": 1000000}}, wait=1)
     assert reply.status == 202 and reply.json()["state"] in ("queued", "running")
     assert service.act(reply.json()["id"], "cancel").status == 200
 
