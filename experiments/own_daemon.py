@@ -99,6 +99,18 @@ def ended_well(kind, job):
     return job["state"] == "succeeded"
 
 
+def report(arguments, name, texts, draw, table):
+    """Draws the rows of --csv as --svg, prints their tables, and puts these into --markdown between
+    the markers `name`. texts: columns that are text."""
+    rows = records.read(arguments.csv, texts)
+    if not rows:
+        sys.exit(f"{arguments.csv} has no rows")
+    draw(rows, arguments.svg)
+    print(table(rows))
+    if arguments.markdown:
+        records.put_between(arguments.markdown, name, table(rows))
+
+
 class Deadline:
     """When to stop: after `seconds` (None: never), or after a signal."""
     def __init__(self, seconds=None):

@@ -416,13 +416,7 @@ def main():
     arguments = options().parse_args()
     if not arguments.report and not run(arguments):
         return own_daemon.cut_off()
-    rows = records.read(arguments.csv, TEXTS)
-    if not rows:
-        sys.exit(f"{arguments.csv} has no rows")
-    draw(rows, arguments.svg)
-    print(table(rows))
-    if arguments.markdown:
-        records.put_between(arguments.markdown, "pretraining", table(rows))
+    own_daemon.report(arguments, "pretraining", TEXTS, draw, table)
     return 0
 
 

@@ -159,7 +159,7 @@ def tables(rows):
         title = (f"**{int(group[0]['n'])} random bodies**" if who == "bodies" else
                  f"**The {int(group[0]['n'])} best bodies of a campaign with each controller**")
         out.append(f"{title}, mean score; in brackets the difference to {names[0]}, with its 95 % "
-                   "interval for the same bodies:\n\n" +
+                   "interval for the same bodies; a rollout that diverges counts as 1:\n\n" +
                    records.table(["", *names, "most diverged"], lines))
     return "\n\n".join(out)
 
@@ -217,15 +217,11 @@ def main():
     arguments.deadline = Deadline(arguments.limit_s)
     if len({file.stem for file in arguments.controllers}) < len(arguments.controllers):
         parser.error("two controllers have the same name")
+    if not arguments.campaigns and (arguments.vary or arguments.aggregate != "mean"):
+        parser.error("--vary and --aggregate are for campaigns; add --campaigns")
     if not arguments.report:
         run(arguments)
-    rows = records.read(arguments.csv, TEXTS)
-    if not rows:
-        sys.exit(f"{arguments.csv} has no rows")
-    draw(rows, arguments.svg)
-    print(tables(rows))
-    if arguments.markdown:
-        records.put_between(arguments.markdown, "robustness", tables(rows))
+    own_daemon.report(arguments, "robustness", TEXTS, draw, tables)
     return 0
 
 

@@ -227,6 +227,8 @@ def test_robustness(tmp_path):
     refused = bench("robustness", BOOTSTRAP, BOOTSTRAP, *NO_DAEMON, *files, status=2)
     assert "have the same name" in refused.stderr
     assert "NAME=LOW:HIGH" in bench("robustness", "--vary=friction", status=2).stderr
+    for ignored in ("--vary=friction=0.5:1", "--aggregate=cvar"):
+        assert "add --campaigns" in bench("robustness", ignored, *NO_DAEMON, status=2).stderr
 
 
 def first_address(process, folder):
