@@ -26,6 +26,15 @@ def result(one, job):
     return page, steps
 
 
+def resumed(one, job):
+    """The job's state, after it is resumed if it failed."""
+    now = one.json(f"/v1/trainings/{job}")
+    if now["state"] == "failed":
+        assert "killed" in now["error"]["detail"]
+        one.act(job, "resume")
+    return now
+
+
 @pytest.mark.parametrize("device", WHERE)
 def test_kill_at_random_moments(daemon, soak, seed, device):
     """Killed repeatedly, with a different number of workers in each process, which lives until it
@@ -47,10 +56,7 @@ def test_kill_at_random_moments(daemon, soak, seed, device):
     path = f"/v1/trainings/{job}"
     kills = within = 0
     while kills < n_kills:
-        now = victim.json(path)
-        if now["state"] == "failed":
-            assert "killed" in now["error"]["detail"]
-            victim.act(job, "resume")
+        now = resumed(victim, job)
         least = now["progress"]["step"] + generator.randrange(2 * N * STEPS // n_kills)
         now = victim.awaited(path, lambda now: now["state"] not in ("queued", "running") or
                              now["progress"]["step"] >= least and now["state"] == "running",
@@ -64,6 +70,7 @@ def test_kill_at_random_moments(daemon, soak, seed, device):
         victim.settings["workers"] = generator.choice((1, 2, 7))
         victim.start()
         assert progress(victim, job)["bodies_done"] >= done
+    resumed(victim, job)
     victim.succeed(job, "trainings", 600)
     print(f"{kills} kills, {within} of them within a design")
     assert within > 0
