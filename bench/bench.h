@@ -19,6 +19,7 @@ struct bench_options {
    * outputs in every step. */
   double dt_s, control_period_s;
   enum mo_integrator integrator; /* of the same */
+  bool vary; /* each world of `rollout` and `gradient` has constants of its own */
 };
 
 /* The physics of the options: 4 seconds. */

@@ -122,6 +122,23 @@ double bench_median(double *values, size_t n)
   return 0.5 * (values[(n - 1) / 2] + values[n / 2]);
 }
 
+/* Multiplies the constants of each of n worlds by other factors. */
+static void vary(struct mo_environment *environments, uint32_t n, uint64_t seed)
+{
+  struct mo_factor_ranges ranges = {.given = true, .friction = {1.0 / 3, 4.0 / 3}};
+  double *const others[] = {ranges.stiffness, ranges.mass, ranges.drag, ranges.gravity,
+                            ranges.actuation};
+  for (size_t i = 0; i < sizeof(others) / sizeof(others[0]); i++) {
+    others[i][0] = 0.7;
+    others[i][1] = 1.3;
+  }
+  struct mo_factors *factors = bench_zeros(n, sizeof(*factors));
+  bench_check(mo_factors_draw(&ranges, seed, 0, n, factors), "factors");
+  for (uint32_t i = 0; i < n; i++)
+    environments[i].factors = factors[i];
+  free(factors);
+}
+
 void bench_scene_create(struct bench_scene *scene, const struct bench_options *options,
                         uint32_t n_bodies)
 {
@@ -151,6 +168,10 @@ void bench_scene_create(struct bench_scene *scene, const struct bench_options *o
     scene->robots[i] = (struct mo_robot){scene->bodies[i], scene->training + i};
   }
   mo_body_stream_free(stream);
+  if (options->vary) {
+    vary(scene->environments, MO_PAPER_TEST_COUNT, options->seed);
+    vary(scene->training, n_bodies, options->seed);
+  }
 }
 
 struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int nz)

@@ -33,7 +33,8 @@ static const char usage[] =
     "data/controllers/bootstrap.safetensors)\n  --dt MS            time step of `rollout`, "
     "`gradient` and `score-error` (default 4)\n  "
     "--period MS        their control period (default: one step)\n  "
-    "--integrator NAME  theirs: paper (default) or split\n  --quick            a tenth of "
+    "--integrator NAME  theirs: paper (default) or split\n  --vary             gives each world "
+    "of `rollout` and `gradient` constants of its own\n  --quick            a tenth of "
     "the bodies\n  --designs FILE     robots of `penetration`, a line each (default: random "
     "bodies)\n";
 
@@ -67,6 +68,7 @@ int main(int argc, char **argv)
                                                {"dt", required_argument, NULL, 'd'},
                                                {"period", required_argument, NULL, 'p'},
                                                {"integrator", required_argument, NULL, 'm'},
+                                               {"vary", no_argument, NULL, 'v'},
                                                {"quick", no_argument, NULL, 'q'},
                                                {"help", no_argument, NULL, 'h'},
                                                {NULL, 0, NULL, 0}};
@@ -89,6 +91,7 @@ int main(int argc, char **argv)
     case 'm':
       options.integrator = (enum mo_integrator)bench_word(mo_integrator_words, optarg);
       break;
+    case 'v': options.vary = true; break;
     case 'q': options.quick = true; break;
     case 'h': fputs(usage, stdout); return 0;
     default: fputs(usage, stderr); return 2;
@@ -98,6 +101,10 @@ int main(int argc, char **argv)
   for (size_t i = 0; i < sizeof(benchmarks) / sizeof(benchmarks[0]); i++) {
     if (strcmp(name, benchmarks[i].name) != 0)
       continue;
+    if (options.vary && benchmarks[i].run != bench_rollout && benchmarks[i].run != bench_gradient) {
+      fprintf(stderr, "morpho-bench: --vary goes with rollout or gradient, not with %s\n", name);
+      return 2;
+    }
     if (benchmarks[i].run_with != NULL)
       return benchmarks[i].run_with(argc - optind, argv + optind);
     if (optind + 1 == argc)
