@@ -146,10 +146,33 @@ static uint32_t warn_of_every_step(const struct mo_physics *physics, struct mo_w
   return 1;
 }
 
+/* A user who gives only a smaller dt_s probably wants a better result, not a shorter rollout.
+ * An unstable step has a warning of its own, and its results are of no use. */
+static uint32_t warn_of_duration(const struct mo_physics *physics, struct mo_warning *warning)
+{
+  const struct mo_scheme *scheme = &physics->scheme;
+  const struct mo_scheme usual = scheme->integrator == MO_INTEGRATOR_SPLIT
+                                     ? mo_default_physics().scheme
+                                     : mo_paper_physics().scheme;
+  const double usual_s = usual.n_steps * usual.dt_s;
+  if (scheme->n_steps != usual.n_steps || scheme->dt_s == usual.dt_s)
+    return 0;
+  *warning = (struct mo_warning){.code = "other_duration", .of_request = true};
+  snprintf(
+      warning->detail, sizeof(warning->detail),
+      "with dt_s %.6g, the default n_steps of %u makes rollouts last %.3g s instead of %.3g s; "
+      "to keep the duration, set n_steps to %.0f",
+      scheme->dt_s, (unsigned)usual.n_steps, scheme->n_steps * scheme->dt_s, usual_s,
+      usual_s / scheme->dt_s);
+  return 1;
+}
+
 uint32_t mo_warn_of_physics(const struct mo_physics *physics,
                             struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX])
 {
-  const uint32_t n = warn_of_dt(physics, "", warnings);
+  uint32_t n = warn_of_dt(physics, "", warnings);
+  if (n == 0)
+    n = warn_of_duration(physics, warnings);
   return n + warn_of_every_step(physics, warnings + n);
 }
 

@@ -49,7 +49,7 @@ def test_round_trip(service):
 
 def test_control_periods(service):
     """A controller states how often it computes its outputs; a request can override that."""
-    metadata = {**HEADER["__metadata__"], "control_period_s": "0.016"}
+    metadata = {**HEADER["__metadata__"], "control_period_s": "0.016", "of": "this test alone"}
     put = service.upload("slow", pack({**HEADER, "__metadata__": metadata}))
     assert put.status == 201 and put.json()["control_period_s"] == 0.016
     del metadata["control_period_s"]

@@ -93,6 +93,17 @@ def test_no_warning_without_a_reason(service):
     assert service.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["warnings"] == []
 
 
+def test_another_duration_is_flagged(service):
+    """With a smaller time step alone, rollouts are shorter."""
+    request = {"designs": [DESIGN], "physics": {"dt_s": 0.001}}
+    done = service.evaluate(request).json()
+    assert codes(done) == codes(listed(service, done)) == ["other_duration"]
+    assert done["warnings"][0]["detail"].endswith("set n_steps to 4000")
+    assert codes(service.post("/v1/rollouts", request)) == ["other_duration"]
+    request["physics"]["n_steps"] = 4000
+    assert codes(service.evaluate(request).json()) == []
+
+
 # ---- controllers that act in every step ----
 
 

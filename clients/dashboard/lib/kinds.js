@@ -219,6 +219,7 @@ const WARNED = {
   no_measure: 'designs lack a value of the measure',
   exhausted: 'no unseen bodies are left', light_near_start: 'a light is near the start',
   unstable_step: 'the time step is too large', every_step: 'the controller acts at every step',
+  other_duration: 'rollouts have another duration',
 };
 
 /** Describes the state, and warnings that the result does not show. */

@@ -135,6 +135,30 @@ static void warns_of_acting_in_every_step(void)
   CHECK_INT(mo_warn_of_physics(&physics, warnings), 0);
 }
 
+/* Only a time step of the request with the default number of steps changes the duration by
+ * accident. */
+static void warns_of_other_durations(void)
+{
+  struct mo_physics physics = mo_default_physics();
+  struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX];
+  physics.scheme.control_period_s = MO_DEFAULT_CONTROL_PERIOD_S;
+  physics.scheme.dt_s = 0.001;
+  REQUIRE(mo_warn_of_physics(&physics, warnings) == 1);
+  CHECK_TEXT(warnings[0].code, "other_duration");
+  CHECK(warnings[0].of_request);
+  CHECK_TEXT(warnings[0].detail,
+             "with dt_s 0.001, the default n_steps of 2000 makes rollouts last 2 s instead of 4 s; "
+             "to keep the duration, set n_steps to 4000");
+  physics.scheme.n_steps = 4000;
+  CHECK_INT(mo_warn_of_physics(&physics, warnings), 0);
+  physics = mo_paper_physics();
+  physics.scheme.dt_s = 0.003;
+  REQUIRE(mo_warn_of_physics(&physics, warnings) == 1);
+  CHECK_HAS(warnings[0].detail, "default n_steps of 1000 makes rollouts last 3 s instead of 4 s");
+  physics.scheme.n_steps = 10; /* clearly on purpose */
+  CHECK_INT(mo_warn_of_physics(&physics, warnings), 0);
+}
+
 /* The longest warning fits, and its step is below the bound, rounded to two digits. */
 static void warns_of_unstable_steps(void)
 {
@@ -157,6 +181,7 @@ static void warns_of_unstable_steps(void)
   CHECK(strlen(warning->detail) <= 230);
   physics = mo_paper_physics();
   const double bound = mo_stable_step_s(&physics, MO_EIGENVALUE_MAX);
+  physics.scheme.n_steps = 999;
   physics.scheme.dt_s = 0.999 * bound;
   CHECK_INT(mo_warn_of_physics(&physics, warnings), 0);
   physics.scheme.dt_s = 1.001 * bound;
@@ -300,6 +325,7 @@ static const struct check_case cases[] = {
     {"changes states only as the machine allows", changes_states},
     {"warns of divergence", warns_of_divergence},
     {"warns of acting in every step", warns_of_acting_in_every_step},
+    {"warns of other durations", warns_of_other_durations},
     {"warns of unstable steps", warns_of_unstable_steps},
     {"reports changes, in order, and prunes", reports_changes},
     {"keeps trajectories", keeps_trajectories},
