@@ -14,6 +14,7 @@ again, the program continues where it stopped."""
 import math
 import statistics
 import sys
+import textwrap
 from pathlib import Path
 
 import own_daemon
@@ -156,11 +157,15 @@ def tables(rows):
             lines.append(cells)
         names = [row["controller"] for row in group if row["axis"] == group[0]["axis"]
                  and row["level"] == group[0]["level"]]
-        title = (f"**{int(group[0]['n'])} random bodies**" if who == "bodies" else
-                 f"**The {int(group[0]['n'])} best bodies of a campaign with each controller**")
-        out.append(f"{title}, mean score; in brackets the difference to {names[0]}, with its 95 % "
-                   "interval for the same bodies; a rollout that diverges counts as 1:\n\n" +
-                   records.table(["", *names, "most diverged"], lines))
+        n = int(group[0]["n"])
+        title = (f"**{n} random bodies**: mean score, and in parentheses the difference from "
+                 f"{names[0]} with its 95 % interval, paired by body."
+                 if who == "bodies" else
+                 f"**The {n} best bodies of a campaign with each controller**: mean score, and in "
+                 f"parentheses the difference from {names[0]}.")
+        title = textwrap.fill(f"{title} A rollout that diverges counts as 1.", 100,
+                              break_on_hyphens=False)
+        out.append(title + "\n\n" + records.table(["", *names, "most diverged"], lines))
     return "\n\n".join(out)
 
 

@@ -266,6 +266,7 @@ static int store_controller(struct service *service, const char *path, bool is_d
 static int store_default_controller(struct service *service, const struct settings *settings,
                                     struct mo_message *message)
 {
+  static const char *const others[] = {PAPER_CONTROLLER, GENERALIST_CONTROLLER, ROBUST_CONTROLLER};
   struct mo_controller_record record;
   const char *path = settings->default_controller;
   int status = mo_store_controller(service->store, "default", &record);
@@ -276,9 +277,9 @@ static int store_default_controller(struct service *service, const struct settin
     return status;
   if (path != NULL)
     return store_controller(service, path, true, message);
-  status = store_controller(service, PAPER_CONTROLLER, false, message);
-  if (status == MO_OK)
-    status = store_controller(service, GENERALIST_CONTROLLER, false, message);
+  status = MO_OK;
+  for (size_t i = 0; status == MO_OK && i < sizeof(others) / sizeof(others[0]); i++)
+    status = store_controller(service, others[i], false, message);
   return status == MO_OK ? store_controller(service, SHIPPED_CONTROLLER, true, message) : status;
 }
 

@@ -15,6 +15,7 @@
 #define SHIPPED_CONTROLLER    MORPHOD_DATADIR "/controllers/phototaxis-16ms.safetensors"
 #define PAPER_CONTROLLER      MORPHOD_DATADIR "/controllers/phototaxis.safetensors"
 #define GENERALIST_CONTROLLER MORPHOD_DATADIR "/controllers/generalist-16ms.safetensors"
+#define ROBUST_CONTROLLER     MORPHOD_DATADIR "/controllers/robust-16ms.safetensors"
 
 /* Exit statuses (morphod(8)), numbered as in sysexits.h. */
 enum exit_status {

@@ -74,8 +74,9 @@ const struct setting settings_table[] = {
              "phototaxis-16ms.safetensors of the installation", false,
              "Controller file that is stored at the first start: as \"default\", and under its own "
              "name if that is a valid name for a controller. Without it, the installation's "
-             "phototaxis.safetensors, made for the paper's physics, and "
-             "generalist-16ms.safetensors, trained with all guides, are stored too."),
+             "phototaxis.safetensors, made for the paper's physics, "
+             "generalist-16ms.safetensors, trained with all guides, and "
+             "robust-16ms.safetensors, trained on slippery ground, are stored too."),
     TEXT_ROW("token_file", SETTING_PATH, token_file, "",
              "credential \"token\", if systemd passes one", true,
              "File with lines of NAME RIGHT TOKEN; rights are read, submit and admin, and worker "

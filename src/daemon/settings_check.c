@@ -207,7 +207,8 @@ static void check_controller(const char *path, struct settings_faults *faults)
  * Later starts do not need them. */
 static void check_shipped_controllers(const char *state_dir, struct settings_faults *faults)
 {
-  static const char *const paths[] = {SHIPPED_CONTROLLER, PAPER_CONTROLLER, GENERALIST_CONTROLLER};
+  static const char *const paths[] = {SHIPPED_CONTROLLER, PAPER_CONTROLLER, GENERALIST_CONTROLLER,
+                                      ROBUST_CONTROLLER};
   char *database = format_text("%s/morphod.db", state_dir);
   for (size_t i = 0; i < sizeof(paths) / sizeof(*paths) && access(database, F_OK) != 0; i++)
     if (access(paths[i], R_OK) != 0)

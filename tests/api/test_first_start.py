@@ -41,7 +41,8 @@ def test_the_shipped_controllers(in_place, tmp_path):
     assert shown == {"default": hash_of("phototaxis-16ms"),
                      "phototaxis-16ms": hash_of("phototaxis-16ms"),
                      "phototaxis": hash_of("phototaxis"),
-                     "generalist-16ms": hash_of("generalist-16ms")}
+                     "generalist-16ms": hash_of("generalist-16ms"),
+                     "robust-16ms": hash_of("robust-16ms")}
     assert service.get("/v1/controllers/default")["control_period_s"] == 0.016
     small = {"designs": [DESIGN], "environments": [{"light_xy_m": [3, 3], "terrain_sigma_m": 0,
                                                     "seed": 1}]}
@@ -54,7 +55,7 @@ def test_the_shipped_controllers(in_place, tmp_path):
     assert service.stop() == 0
     again = in_place(state=tmp_path)
     assert {row["name"] for row in again.get("/v1/controllers")["items"]} == {
-        "default", "generalist-16ms", "phototaxis-16ms"}
+        "default", "generalist-16ms", "phototaxis-16ms", "robust-16ms"}
 
 
 def test_rankings_under_the_physics_of_the_paper(in_place):

@@ -101,9 +101,7 @@ def test_what_varies(ctl):
         ("--vary friction=0.5:1 --vary slope_degrees=0:10", "friction 0.5 to 1, "
          "slope_degrees 0 to 10"),
         ("--vary mass=1:1.5 --vary drop_m=0.1:0.2", "mass 1 to 1.5, drop_m 0.1 to 0.2"),
-        ("--preset robust", "stiffness 0.8 to 1.2, mass 0.8 to 1.2, drag 0.8 to 1.2, gravity 0.8 "
-         "to 1.2, actuation 0.8 to 1, friction 0.33 to 1.33, drop_m 0 to 0.1, slope_degrees 0 to "
-         "10")):
+        ("--preset robust", "friction 0.4 to 1")):
         status, out, err = ctl(f"train start pretrain {more} {TINY} --json")
         assert status == 0, err
         job = json.loads(out)["id"]

@@ -13,8 +13,9 @@ export const CAMPAIGN_PRESETS = {
 export const TRAINING_PRESETS = { workstation: 256, phototaxis: 8192, paper: 8192, robust: 8192 };
 /** What the preset robust varies. */
 const ROBUST = {
-  ...Object.fromEntries(['stiffness', 'mass', 'drag', 'gravity'].map((name) => [name, [0.8, 1.2]])),
-  actuation: [0.8, 1], friction: [0.33, 1.33], drop_m: [0, 0.1], slope_degrees: [0, 10],
+  ...Object.fromEntries(['stiffness', 'mass', 'drag', 'gravity', 'actuation']
+    .map((name) => [name, [1, 1]])),
+  friction: [0.4, 1],
 };
 export const TRAINING_STEPS = { pretrain: 1400, finetune: 60 };
 export const VALIDATION = { every_steps: 50, designs: 64, environments: 8 };
