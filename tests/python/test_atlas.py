@@ -20,7 +20,7 @@ from morphod.atlas import (
 )
 
 ANSWERS = (pathlib.Path(__file__).resolve().parents[2] / "build" / "tests" / "unit" / "atlas" /
-           "atlas-all-answers")
+           "atlas-answers")
 STEPS = [("add", ), ("remove", ), GROW_SHRINK, ("add", "remove", "move")]
 MEASURED = 1 << 0 | 1 << 2 | 1 << 16
 NAMES = ("displacement_m", "mean_speed_m_per_s", "work_j")
