@@ -29,9 +29,11 @@ static const struct option_spec atlas_best_options[] = {
     {BY_MEASURE},
     {"order", 0, "descending|ascending",
      "With --measure: highest values first (default), or lowest."},
-    {"lo", 0, "SCORE", "Only scores (or values of the measure) of at least this."},
-    {"hi", 0, "SCORE", "Only scores (or values of the measure) below this."},
-    {"limit", 'n', "N", "Maximum number, best first (default: 20)."},
+    {"lo", 0, "X", "Only bodies with a score (with --measure, a value) of at least X."},
+    {"hi", 0, "X", "Only bodies with a score (with --measure, a value) below X."},
+    {"score-lo", 0, "SCORE", "With --measure: only bodies with a score of at least this."},
+    {"score-hi", 0, "SCORE", "With --measure: only bodies with a score below this."},
+    {"limit", 'n', "N", "Maximum number, in the order of the list (default: 20)."},
     {NULL}};
 static const struct option_spec atlas_optima_options[] = {
     {"limit", 'n', "N", "Maximum number, largest basins first, up to 500 (default: 20)."}, {NULL}};
@@ -39,8 +41,8 @@ static const struct option_spec atlas_histogram_options[] = {
     {OF_VOXELS},
     {BY_MEASURE},
     {"bins", 0, "N", "Number of bins, 1 to 1024 (default: 20)."},
-    {"lo", 0, "SCORE", "Where the first bin begins (default: the lowest score)."},
-    {"hi", 0, "SCORE", "Where the last bin ends (default: the highest score)."},
+    {"lo", 0, "X", "Where the first bin begins (default: the lowest score or value)."},
+    {"hi", 0, "X", "Where the last bin ends (default: right above the highest score or value)."},
     {NULL}};
 static const struct option_spec atlas_map_options[] = {
     {"bins", 0, "N", "Number of bins of score and measure, 1 to 64 (default: 24)."}, {NULL}};
@@ -51,7 +53,7 @@ static const struct option_spec atlas_download_options[] = {
     {NULL}};
 
 static const struct option_spec atlas_build_options[] = {
-    {"voxels", 'n', "N", "Largest number of voxels of a body, 1 to 10 (required).", "voxels",
+    {"voxels", 'n', "N", "Maximum number of voxels in a body, 1 to 10 (required).", "voxels",
      FIELD_WHOLE},
     {"task", 't', "TASK",
      "A task of the suite morpho-12, such as walk, in its ten selection worlds.", "task"},
@@ -64,7 +66,7 @@ static const struct option_spec atlas_build_options[] = {
      "Measures of the bodies: all, or names separated by commas, such as "
      "displacement_m,mean_speed_m_per_s. The file grows by 4 bytes per body and measure."},
     {"name", 0, "NAME",
-     "Name of the atlas (default: made from the task and voxels, such as walk-10).", "name"},
+     "Name of the atlas (default: the task and the number of voxels, such as walk-10).", "name"},
     {CONTROLLER},
     {PHYSICS},
     {"wait", 'w', NULL, "Wait until it is built, and print its name."},
@@ -84,7 +86,7 @@ static const struct option_spec atlas_build_options[] = {
    atlas_build_options}, \
   {"atlas list", "", "List the atlases of the server.", run_atlas_list}, \
   {"atlas show", "NAME", "Show an atlas, with the best body of each size.", run_atlas_show}, \
-  {"atlas body", "NAME [DESIGN]", "Show how a body ranks among all.", run_atlas_body, \
+  {"atlas body", "NAME [DESIGN]", "Show how a body ranks among all bodies.", run_atlas_body, \
    "Its score, rank and percentile, and the best bodies one step away. DESIGN is one design, " \
    "given as for eval.", \
    atlas_body_options}, \
@@ -97,7 +99,8 @@ static const struct option_spec atlas_build_options[] = {
    atlas_similar_options}, \
   {"atlas best", "NAME", "List the best bodies.", run_atlas_best, \
    "Of all sizes or of one; with --lo and --hi, those in a range of scores. With --measure, the " \
-   "bodies with the highest values.", \
+   "bodies with the highest values; --lo and --hi then limit the value, and --score-lo and " \
+   "--score-hi the score, as a drag over the map of both does on the dashboard.", \
    atlas_best_options}, \
   {"atlas optima", "NAME", "List the local optima with the largest basins.", run_atlas_optima, \
    "The basin of an optimum is the number of bodies whose steepest ascent by adding and removing " \

@@ -142,7 +142,8 @@ static void print_histogram(const struct ctl *ctl, const json_t *histogram)
     outside += json_integer_value(row);
   }
   if (outside > 0)
-    printf("%31s  outside all bins, or diverged\n", count_text(outside, text));
+    printf("%31s  outside all bins, or %s\n", count_text(outside, text),
+           option_is_set(ctl, "measure") ? "without a value" : "diverged");
 }
 
 void run_atlas_histogram(struct ctl *ctl)
@@ -188,11 +189,12 @@ static void print_map(const struct ctl *ctl, const json_t *comparison, const cha
 
 static void print_comparison(const struct ctl *ctl, const json_t *comparison)
 {
-  static const struct fact facts[] = {{"bodies", "{bodies:,} in both[, {outside>0:,} diverged]"},
-                                      {"Kendall's tau", "{kendall_tau:.4f}"},
-                                      {"downward", "{a}"},
-                                      {"to the right", "{b}, from {edges_b.0:.4f}"},
-                                      {NULL, NULL}};
+  static const struct fact facts[] = {
+      {"bodies", "{bodies:,} in both[; {outside>0:,} diverged in one or both]"},
+      {"Kendall's tau", "{kendall_tau:.4f}"},
+      {"downward", "{a}"},
+      {"to the right", "{b}, from {edges_b.0:.4f}"},
+      {NULL, NULL}};
   print_facts(ctl, comparison, facts);
   putchar('\n');
   print_map(ctl, comparison, "edges_a");
@@ -201,7 +203,7 @@ static void print_comparison(const struct ctl *ctl, const json_t *comparison)
 static void print_measure(const struct ctl *ctl, const json_t *map)
 {
   static const struct fact facts[] = {
-      {"bodies", "{bodies:,}[, {without_value>0:,} others have no value]"},
+      {"bodies", "{bodies:,} with a value[; {without_value>0:,} without]"},
       {"Kendall's tau", "{kendall_tau:.4f}"},
       {"downward", "score"},
       {"to the right", "{measure}, from {edges_measure.0:.4f}"},

@@ -50,7 +50,7 @@ static void print_body(const struct ctl *ctl, const json_t *body)
        "{of_size.rank:,} of {of_size.bodies:,}, better than {of_size.percentile:.2f} %"},
       {"best of size", "{best_of_size.id}, score [{best_of_size.score:.4f}|diverged]"},
       {"ascent ends at", "[{optimum.id}, score {optimum.score:.4f}]"},
-      {"basin", "[{basin>0:,} bodies]"},
+      {"basin", "[{basin>0:,} [{basin=1}body|bodies]]"},
       {NULL, NULL}};
   const char *genotype = text_of(body, "genotype"), *name;
   const json_t *measures = json_object_get(body, "measures"), *value;
@@ -96,8 +96,10 @@ static void print_ascent(const struct ctl *ctl, const json_t *reply)
 {
   print_list(ctl, reply, BODY_COLUMNS);
   if (!ctl->quiet)
-    print_from(stderr, reply,
-               "{bodies_on_path:,} bodies; the last one is a local optimum, {optimum.id}");
+    print_from(
+        stderr, reply,
+        "{bodies_on_path:,} [{bodies_on_path=1}body|bodies]; the last one is a local optimum, "
+        "{optimum.id}");
 }
 
 void run_atlas_ascent(struct ctl *ctl)
@@ -119,7 +121,8 @@ void run_atlas_similar(struct ctl *ctl)
 
 void run_atlas_best(struct ctl *ctl)
 {
-  static const char *const filters[] = {"voxels", "measure", "order", "lo", "hi", NULL};
+  static const char *const filters[] = {"voxels", "measure",  "order",    "lo",
+                                        "hi",     "score-lo", "score-hi", NULL};
   const char *measure = option_text(ctl, "measure", NULL);
   const int64_t limit = option_number(ctl, "limit", 1, 10000000, 20);
   json_t *items = collect(ctl, path_with(ctl, atlas_path(ctl, "/best"), filters), (size_t)limit);
@@ -135,7 +138,7 @@ static void print_optima(const struct ctl *ctl, const json_t *reply)
 {
   print_list(ctl, reply, ">basin={basin:,}|" BODY_COLUMNS);
   if (!ctl->quiet)
-    print_from(stderr, reply, "{optima:,} local optima in total");
+    print_from(stderr, reply, "{optima:,} local [{optima=1}optimum|optima] in total");
 }
 
 void run_atlas_optima(struct ctl *ctl)

@@ -7,7 +7,7 @@ void run_atlas_build(struct ctl *ctl)
 {
   const bool wait = option_is_set(ctl, "wait");
   if (!option_is_set(ctl, "voxels"))
-    fail(STATUS_USAGE, "--voxels N is required: the largest number of voxels of a body, 1 to 10");
+    fail(STATUS_USAGE, "--voxels N is required: the maximum number of voxels in a body, 1 to 10");
   json_t *request = keep(json_object());
   request_fill(ctl, request);
   request_fill_measures(ctl, request);
@@ -24,8 +24,8 @@ void run_atlas_build(struct ctl *ctl)
     expect_success("job", job);
     if (!ctl->json && !ctl->quiet)
       print_from(stderr, job,
-                 "atlas {atlas.name}: {atlas.bodies_done:,} bodies, {atlas.rollouts_done:,} "
-                 "rollouts");
+                 "atlas {atlas.name}: {atlas.bodies_done:,} [{atlas.bodies_done=1}body|bodies], "
+                 "{atlas.rollouts_done:,} rollout{atlas.rollouts_done:s}");
   } else if (!ctl->json && !ctl->quiet) {
     print_from(stderr, job,
                "job {id} accepted; it builds the atlas {atlas.name}: morphoctl watch {id}");

@@ -188,8 +188,17 @@ def test_commands(service, plain, ctl):  # noqa: F811
     assert [line.split()[-1] for line in lines[1:]] == [plain.body(i)["id"] for i in expected]
     assert [float(line.split()[0]) for line in lines[1:]] == pytest.approx(
         [plain.measures[SPEED][i] for i in expected])
-    assert len(run(f"histogram measured --measure {SPEED} --bins 7").splitlines()) == 8
+    lines = run(f"best measured --measure {SPEED} --score-lo 0.25 --score-hi=0.5 --lo -1.5 "
+                "-n 200").splitlines()[1:]
+    expected = [i for i in known(plain, plain.by(SPEED, True, range(124)))
+                if 0.25 <= plain.scores[i] < 0.5 and plain.measures[SPEED][i] >= -1.5]
+    assert [line.split()[-1] for line in lines] == [plain.body(i)["id"] for i in expected]
+    code, _, err = ctl("atlas best measured --score-lo 0.25")
+    assert code == 6 and "needs a measure" in err
+    shown = run(f"histogram measured --measure {SPEED} --bins 7").splitlines()
+    assert len(shown) == 8 and shown[-1].endswith("without a value")
     found = json.loads(run(f"map measured {SPEED} --bins 4 --json"))
     assert found == service.get(f"{OF}/map?measure={SPEED}&bins=4")
     shown = run(f"map measured {SPEED} --bins 4")
-    assert f"Kendall's tau  {found['kendall_tau']:.4f}" in shown and "have no value" in shown
+    assert f"Kendall's tau  {found['kendall_tau']:.4f}" in shown
+    assert f"{found['bodies']} with a value; {found['without_value']} without" in shown

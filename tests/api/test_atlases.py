@@ -505,6 +505,8 @@ def test_commands(service, atlas, plain, ctl, tmp_path):  # noqa: F811
     assert [line.split()[-1] for line in lines] == [plain.body(i)["id"] for i in neighbors]
     path = [line.split()[-1] for line in run("ascent five --position 40").splitlines()[1:]]
     assert path == [plain.body(i)["id"] for i in plain.ascend(40)]
+    assert "\n1 body; the last one" in "\n" + ctl(
+        f"atlas ascent five --position {plain.order[0]}")[2]
     similar = service.get(f"{atlas}/similar?position=40&limit=5")["items"]
     assert [line.split()[-1] for line in
             run("similar five --position 40 -n 5").splitlines()[1:]] == [b["id"] for b in similar]

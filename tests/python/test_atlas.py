@@ -206,6 +206,28 @@ def test_in_the_order_of_a_measure(measured):
     assert len(atlas.best_by("work_j", 3)) == 3
     with pytest.raises(ValueError, match="descending or ascending"):
         atlas.best_by("work_j", order="up")
+    scores, some = atlas.scores(6), (np.float32(0.2), np.float32(0.7))
+    for lo, hi, low, high in itertools.product((None, 0.5), (None, 2.5), (None, some[0]),
+                                               (None, some[1])):
+        def inside(at, lo=lo, hi=hi, low=low, high=high):
+            value, score = values[at], scores[at]
+            # Bodies without a value are last, where the lowest values are.
+            known = lo is None if math.isnan(value) else (
+                (lo is None or value >= lo) and (hi is None or value < hi))
+            return known and (low is high is None or (low or 0) <= score < (high or math.inf))
+
+        expected = sorted(filter(inside, range(len(values))),
+                          key=lambda at: (math.isnan(values[at]), -np.nan_to_num(values[at]), at))
+        found = atlas.best_by("work_j", 10**6, 6, lo=lo, hi=hi, score_lo=low, score_hi=high) - first
+        assert found.tolist() == expected and expected
+        expected = [at for at in atlas.order(6) if (low or 0) <= scores[at - first] and
+                    (high is None or scores[at - first] < high)]
+        assert atlas.best(10**6, 6, lo=low, hi=high).tolist() == expected
+        assert atlas.best(3, 6, lo=low, hi=high).tolist() == expected[:3]
+    for ends, words in (({"lo": 1, "hi": 1}, "lo must be below hi"),
+                        ({"score_lo": 2, "score_hi": 1}, "score_lo must be below score_hi")):
+        with pytest.raises(ValueError, match=words):
+            atlas.best_by("work_j", **ends)
     edges = np.float32([-3, -1, 0.5, 5])
     assert atlas.histogram(edges, 6, measure="work_j").tolist() == [
         int(((lo <= values) & (values < hi)).sum()) for lo, hi in zip(edges, edges[1:])]

@@ -97,6 +97,15 @@ def test_measures(m, tmp_path):
         lowest = atlas.best(8, 3, measure=name, order="ascending")
         assert [body["position"] for body in lowest] == file.best_by(
             name, 8, 3, order="ascending").tolist()
+        middle, score = (float(np.median(all)) for all in (file.all_measures(name), file.scores()))
+        for ends in ({"lo": middle}, {"hi": middle}, {"score_lo": score},
+                     {"hi": middle, "score_hi": score}):
+            for order in ("descending", "ascending"):
+                listed = atlas.best(8, measure=name, order=order, **ends)
+                assert [body["position"] for body in listed] == file.best_by(
+                    name, 8, order=order, **ends).tolist(), ends
+        assert [body["position"] for body in atlas.best(8, lo=score)] == file.best(
+            8, lo=score).tolist()
         body = atlas.body(5)
         assert np.float32(body["measures"][name]) == np.float32(file.measure(name, 5))
         assert body["of_size"]["measures"][name] == pytest.approx(

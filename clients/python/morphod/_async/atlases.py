@@ -75,12 +75,16 @@ class AsyncStoredAtlas:
         return await self._items("ascent", **_place(where), **_given(steps=_words(steps)))
 
     async def best(self, limit: int = 10, voxels: int | None = None, *, measure: str | None = None,
-                   order: Literal["descending", "ascending"] | None = None
+                   order: Literal["descending", "ascending"] | None = None,
+                   lo: float | None = None, hi: float | None = None,
+                   score_lo: float | None = None, score_hi: float | None = None
                    ) -> list[dict[str, Any]]:
         """Lists the best bodies of a size, or of all; at most 1000. With `measure`, those with the
-        highest values of a measure, or with the lowest ones in ascending `order`."""
-        return await self._items("best", limit=limit, **_given(voxels=voxels, measure=measure,
-                                                               order=order))
+        highest values of a measure, or with the lowest ones in ascending `order`. Only bodies with
+        lo ≤ score < hi or, with `measure`, with lo ≤ value < hi and score_lo ≤ score < score_hi."""
+        return await self._items("best", limit=limit, **_given(
+            voxels=voxels, measure=measure, order=order, lo=lo, hi=hi, score_lo=score_lo,
+            score_hi=score_hi))
 
     async def similar(self, where: Where, limit: int = 10) -> list[dict[str, Any]]:
         """Lists the bodies within two steps of adding or removing a voxel, best first."""

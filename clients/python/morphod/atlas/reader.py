@@ -353,14 +353,27 @@ class Atlas:
         return 100 * (lower + equal / 2) / others if others else 100.0
 
     def best_by(self, name: str, k: int = 1, voxels: int | None = None, *,
-                order: Literal["descending", "ascending"] = "descending") -> NDArray[np.int64]:
+                order: Literal["descending", "ascending"] = "descending",
+                lo: float | None = None, hi: float | None = None,
+                score_lo: float | None = None, score_hi: float | None = None) -> NDArray[np.int64]:
         """The positions of the k bodies with the highest values of a measure, or with the lowest;
-        ties by lowest position. Bodies without a value come last."""
+        ties by lowest position. Only bodies with lo ≤ value < hi and score_lo ≤ score < score_hi,
+        as far as these are given; they are rounded to float32, as values and scores are. Bodies
+        without a value come last, unless the range has an end there; a range of scores leaves
+        diverged bodies out."""
         if order not in ("descending", "ascending"):
             raise ValueError(f"order must be descending or ascending, not {order!r}")
-        values = self.all_measures(name, voxels)
-        found = np.argsort(-values if order == "descending" else values, kind="stable")[:k]
-        return found.astype(np.int64) + self.positions(voxels).start
+        values, scores = self.all_measures(name, voxels), self.scores(voxels)
+        low, high = _range("lo", lo, "hi", hi)
+        kept = ~((values < low) | (values >= high))
+        if (lo if order == "descending" else hi) is not None:
+            kept &= ~np.isnan(values)
+        if score_lo is not None or score_hi is not None:
+            low, high = _range("score_lo", score_lo, "score_hi", score_hi)
+            kept &= (scores >= low) & (scores < high)
+        found = np.argsort(-values if order == "descending" else values, kind="stable")
+        found = found[kept[found]][:k].astype(np.int64)
+        return found + self.positions(voxels).start
 
     def _known(self, name: str) -> str:
         if name in self.measures:
@@ -392,9 +405,13 @@ class Atlas:
         """100 for the single best body, 0 for the single worst."""
         return self.rank(where, within_size=within_size).percentile
 
-    def best(self, k: int = 1, voxels: int | None = None) -> NDArray[np.int64]:
-        """The positions of the k best bodies, or all if there are fewer."""
-        return self.order(voxels)[:k]
+    def best(self, k: int = 1, voxels: int | None = None, *, lo: float | None = None,
+             hi: float | None = None) -> NDArray[np.int64]:
+        """The positions of the k best bodies, or all if there are fewer: of those with
+        lo ≤ score < hi, as far as these are given; they are rounded to float32, as scores are."""
+        order, scores = self._sorted(voxels)
+        begin, end = np.searchsorted(scores, _range("lo", lo, "hi", hi)).tolist()
+        return order[begin:len(order) if hi is None else end][:k]
 
     def histogram(self, edges: ArrayLike, voxels: int | None = None, *,
                   measure: str | None = None) -> NDArray[np.int64]:
@@ -526,6 +543,15 @@ class Atlas:
         values = self.all_measures(measure)
         known = ~np.isnan(values)
         return compared(self.scores()[known], values[known], bins)
+
+
+def _range(low: str, lo: float | None, high: str, hi: float | None
+           ) -> tuple[np.float32, np.float32]:
+    """Returns the ends of a range of scores or values."""
+    ends = (np.float32(-math.inf if lo is None else lo), np.float32(math.inf if hi is None else hi))
+    if not ends[0] < ends[1]:
+        raise ValueError(f"{low} must be below {high}, got {lo} and {hi}")
+    return ends
 
 
 def _checked(steps: Iterable[str]) -> set[str]:
