@@ -86,6 +86,16 @@ def deleted(service, *names):
             service.request("DELETE", f"/v1/atlases/{name}")
 
 
+@contextlib.contextmanager
+def stored(service, name, data):
+    """Stores an atlas until the end, and returns its path."""
+    with deleted(service, name):
+        reply = service.request("PUT", f"/v1/atlases/{name}/file", body=data,
+                                headers={"Content-Type": "application/octet-stream"})
+        assert reply.status == 201, reply.body
+        yield f"/v1/atlases/{name}"
+
+
 def visit(page, link="", shown=".better-than"):
     page.driver.get("about:blank")
     page.driver.get(page.base + link)
@@ -392,6 +402,7 @@ const [name, done] = arguments;
 (async () => {
   const { AtlasFile } = await import(new URL('lib/atlas_file.js', location.href));
   const atlas = new AtlasFile(await (await fetch('bodies.atlas')).arrayBuffer(), 'measured');
+  const tied = new AtlasFile(await (await fetch('tied.atlas')).arrayBuffer(), 'tied');
   const bodies = [];
   for (let i = 0; i < atlas.n; i++) {
     const { genotype, measures } = await atlas.at(i);
@@ -402,6 +413,9 @@ const [name, done] = arguments;
   done({ bodies, measures: (await atlas.about()).measures,
     all: positions(await atlas.best({ measure: name, limit: 1000 })),
     some: positions(await atlas.best({ measure: name, voxels: 5, lo: -1, hi: 2 })),
+    part: positions(await atlas.best({ measure: name, hi: 2, score_lo: 0.4, score_hi: 0.5 })),
+    low: positions(await atlas.best({ measure: name, score_hi: 0.5 })),
+    maps: await Promise.all([atlas, tied].map((one) => one.map(name, { bins: 5 }))),
     histogram: await atlas.histogram({ measure: name, bins: 7 }) });
 })().catch((error) => done(String(error)));
 """
@@ -481,12 +495,15 @@ def check_the_brush(page, plain):
     return words
 
 
-def test_measures_in_a_site(measured, tmp_path):
-    """Every number of the reader is that of a plain reading; the axis of the map can be chosen."""
+def test_measures_in_a_site(service, measured, tmp_path):
+    """Every number of the reader is that of a plain reading, and its maps are those of a service;
+    the axis of the map can be chosen, and the map of score and measure be brushed."""
     plain = atlases.Plain(measured)
     (tmp_path / "a.atlas").write_bytes(measured)
     made = make_site("--name", "measured", tmp_path / "a.atlas", tmp_path / "site")
     assert made.returncode == 0, made.stderr
+    tied = atlases.file_of(levels=2, measures=(SPEED, ))
+    (tmp_path / "site" / "tied.atlas").write_bytes(tied)
     with served(tmp_path / "site") as server, contextlib.ExitStack() as at_the_end:
         page = Browser(server)
         at_the_end.callback(page.quit)
@@ -503,18 +520,26 @@ def test_measures_in_a_site(measured, tmp_path):
         known = [i for i in plain.by(SPEED, True, range(124)) if values[i] == values[i]]
         assert found["all"] == known
         assert found["some"] == [i for i in known if -1 <= values[i] < 2 and i >= 29]
+        assert found["part"] == [i for i in known
+                                 if values[i] < 2 and 0.4 <= plain.scores[i] < 0.5]
+        assert found["low"] == [i for i in known if plain.scores[i] < 0.5]
+        for one, data in zip(found["maps"], (measured, tied)):
+            with stored(service, "site-measured", data) as path:
+                expected = service.get(f"{path}/map?measure={SPEED}&bins=5")
+                assert expected.pop("name") == "site-measured"
+                for edges in ("edges_score", "edges_measure"):
+                    assert one.pop(edges) == pytest.approx(expected.pop(edges), rel=1e-6)
+                assert one == expected
         histogram = found["histogram"]
         assert sum(map(sum, histogram["counts"])) == len(known)
         assert sum(histogram["outside"]) == 124 - len(known)
         choose_the_axis(page, plain)
+        brush_the_map(page, plain)
         assert page.faults() == []
 
 
 def test_measures_of_a_service(service, browser, measured):
-    with deleted(service, "page-measured"):
-        reply = service.request("PUT", "/v1/atlases/page-measured/file", body=measured,
-                                headers={"Content-Type": "application/octet-stream"})
-        assert reply.status == 201, reply.body
+    with stored(service, "page-measured", measured):
         browser.open("atlas/page-measured")
         browser.until("document.querySelector('.better-than')")
         choose_the_axis(browser, atlases.Plain(measured))

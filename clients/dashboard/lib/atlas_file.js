@@ -54,7 +54,7 @@ function unpackLoss(packed) {
 
 /** Returns the next larger number of 32 bits. */
 function after(number) {
-  const next = new Float32Array([number]);
+  const next = new Float32Array([number + 0]); // −0 + 0 is 0
   new Int32Array(next.buffer)[0] += number < 0 ? -1 : 1;
   return next[0];
 }
@@ -68,6 +68,60 @@ function countBelow(sorted, number) {
     else high = middle;
   }
   return low;
+}
+
+/** Returns the edges of bins of equal width, as numbers of 32 bits. */
+const edgesOf = (lo, hi, bins) => Array.from({ length: bins + 1 }, (_, i) =>
+  Math.fround(i < bins ? lo + (hi - lo) * i / bins : hi));
+
+/** Returns the bin of a number that is within the edges. */
+function binOf(edges, number) {
+  const bins = edges.length - 1;
+  let bin = Math.min(bins - 1, Math.floor((number - edges[0]) / (edges[bins] - edges[0]) * bins));
+  while (number < edges[bin]) bin--;
+  while (number >= edges[bin + 1]) bin++;
+  return bin;
+}
+
+/** Sorts numbers by merging. Returns how many pairs were in the wrong order. */
+function sortCounting(numbers) {
+  const n = numbers.length;
+  const merged = numbers.slice();
+  let wrong = 0;
+  for (let width = 1; width < n; width *= 2) {
+    for (let begin = 0; begin < n; begin += 2 * width) {
+      const [middle, end] = [Math.min(begin + width, n), Math.min(begin + 2 * width, n)];
+      let [left, right] = [begin, middle];
+      for (let i = begin; i < end; i++) {
+        const isRight = left === middle || (right < end && numbers[right] < numbers[left]);
+        if (isRight) wrong += middle - left;
+        merged[i] = numbers[isRight ? right++ : left++];
+      }
+    }
+    numbers.set(merged);
+  }
+  return wrong;
+}
+
+/** Returns Kendall's τ-b of pairs of numbers, which are sorted; null: one of the two never
+ * differs. */
+function kendallTau(pairs) {
+  const n = pairs.length;
+  // Each pair of indices is counted at the larger one.
+  const tied = (isSame) => {
+    let [sum, run] = [0, 0];
+    for (let i = 1; i < n; i++) sum += run = isSame(i) ? run + 1 : 0;
+    return sum;
+  };
+  const isTied = (i) => pairs[i][0] === pairs[i - 1][0];
+  const first = tied(isTied);
+  const both = tied((i) => isTied(i) && pairs[i][1] === pairs[i - 1][1]);
+  const seconds = Float32Array.from({ length: n }, (_, i) => pairs[i][1]);
+  const discordant = sortCounting(seconds);
+  const second = tied((i) => seconds[i] === seconds[i - 1]);
+  const all = n * (n - 1) / 2;
+  const untied = (all - first) * (all - second);
+  return untied > 0 ? (all - first - second + both - 2 * discordant) / Math.sqrt(untied) : null;
 }
 
 /** Whether a body comes before another one: the better score first, ties by lower position. */
@@ -475,18 +529,18 @@ export class AtlasFile {
     return { items, bodies_on_path: items.length, optimum: items.at(-1) };
   }
 
-  /** Returns the positions of a size (0: all) with lo ≤ value < hi, the highest value first. */
-  #highest(size, name, lo, hi) {
-    const values = this.values[name];
-    return [...this.sorted[size]].filter((i) => values[i] >= lo && values[i] < hi)
-      .sort((a, b) => values[b] - values[a] || a - b);
-  }
-
   /** Returns the best bodies of a size, or of all, and counts them: those with lo ≤ score < hi.
-   * With a measure, those with lo ≤ value < hi, the highest first. */
-  async best({ voxels = 0, lo = -Infinity, hi = NaN, limit = 100, measure = undefined } = {}) {
+   * With a measure, those with lo ≤ value < hi and score_lo ≤ score < score_hi, the highest value
+   * first. */
+  async best({ voxels = 0, lo = -Infinity, hi = NaN, limit = 100, measure = undefined,
+    score_lo: scoreLo = undefined, score_hi: scoreHi = undefined } = {}) {
     if (measure) {
-      const found = this.#highest(voxels, measure, lo, Number.isNaN(hi) ? Infinity : hi);
+      const { scores } = this;
+      const values = this.values[measure];
+      const isAnyScore = scoreLo === undefined && scoreHi === undefined; // also a diverged one
+      const found = [...this.sorted[voxels]].filter((i) => values[i] >= lo && !(values[i] >= hi) &&
+        (isAnyScore || (scores[i] >= (scoreLo ?? -Infinity) && scores[i] < (scoreHi ?? Infinity))))
+        .sort((a, b) => values[b] - values[a] || a - b);
       return { bodies: found.length,
         items: found.slice(0, limit).map((position) => this.#bodyAt(position)) };
     }
@@ -507,8 +561,7 @@ export class AtlasFile {
     const [all] = sorted;
     const from = !Number.isNaN(lo) ? lo : all[0] ?? 0;
     const to = !Number.isNaN(hi) ? hi : all.length ? after(all.at(-1)) : 1;
-    const edges = Array.from({ length: bins + 1 }, (_, i) => from + (to - from) * i / bins);
-    edges[bins] = to;
+    const edges = edgesOf(from, to, bins);
     const sizes = Array.from({ length: this.voxelsMax }, (_, i) => i + 1);
     const counts = sizes.map((size) => {
       const below = edges.map((edge) => countBelow(sorted[size], edge));
@@ -516,6 +569,25 @@ export class AtlasFile {
     });
     return { edges, sizes, counts, outside: sizes.map((size, i) =>
       this.counts[size] - counts[i].reduce((sum, n) => sum + n, 0)) };
+  }
+
+  /** Counts the bodies that have a value of a measure: counts[i][k] are in bin i of the scores and
+   * bin k of the values, `outside` diverged. */
+  async map(measure, { bins = 64 } = {}) {
+    const pairs = Array.from(this.sorted[0], (i) => [this.scores[i], this.values[measure][i]])
+      .filter(([, value]) => !Number.isNaN(value))
+      .sort(([a, b], [c, d]) => (a === c ? b - d : a - c));
+    const finite = pairs.filter(([score]) => Number.isFinite(score));
+    const [scores, values] = [0, 1].map((which) => {
+      const [lo, hi] = finite.reduce(([low, high], pair) =>
+        [Math.min(low, pair[which]), Math.max(high, pair[which])], [Infinity, -Infinity]);
+      return finite.length ? edgesOf(lo, after(hi), bins) : edgesOf(0, 1, bins);
+    });
+    const counts = Array.from({ length: bins }, () => new Array(bins).fill(0));
+    for (const [score, value] of finite) counts[binOf(scores, score)][binOf(values, value)]++;
+    return { measure, bodies: pairs.length, edges_score: scores, edges_measure: values, counts,
+      outside: pairs.length - finite.length, without_value: this.n - pairs.length,
+      kendall_tau: kendallTau(pairs) };
   }
 
   /** Returns the local optima with the largest basins, and how many there are. */

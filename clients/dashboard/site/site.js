@@ -5,6 +5,7 @@ import { countOf, score } from '../lib/format.js';
 import { decodeScene, robotsOf } from '../lib/scene.js';
 import { AtlasFile } from '../lib/atlas_file.js';
 import { AtlasPage, startOf } from '../views/atlas_page.js';
+import { AtlasPairs } from '../views/atlas_pairs.js';
 import { AtlasWalk } from '../views/atlas_walk.js';
 
 const main = document.getElementById('main');
@@ -53,7 +54,8 @@ async function show() {
   };
   app.themeListeners.add(nameTheme);
   nameTheme();
-  const page = new AtlasPage(atlas, about, { app, walker, others: theme });
+  const page = new AtlasPage(atlas, about, { app, walker, others: theme,
+    pairs: about.measures.length ? (of) => new AtlasPairs(of) : null });
   fill(main, page.element);
   const start = () => page.change(
     startOf(new URLSearchParams(location.hash.slice(1)), about));
