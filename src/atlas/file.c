@@ -23,59 +23,60 @@ const char *const mo_atlas_orientation_words[] = {"canonical", "images", NULL};
 
 /* ---- opening ---- */
 
-static struct mo_atlas_scope scope_of(const struct mo_atlas_head *head)
+static struct mo_atlas_scope scope_of(const struct mo_atlas_header *header)
 {
-  return (struct mo_atlas_scope){
-      .workspace = {(uint16_t)head->sides[0], (uint16_t)head->sides[1], (uint16_t)head->sides[2]},
-      .voxels_max = head->voxels_max};
+  return (struct mo_atlas_scope){.workspace = {(uint16_t)header->sides[0],
+                                               (uint16_t)header->sides[1],
+                                               (uint16_t)header->sides[2]},
+                                 .voxels_max = header->voxels_max};
 }
 
-/* Returns whether the numbers of a head are within their bounds, in a file of this size. */
-static bool is_sound(const struct mo_atlas_head *head, uint64_t file_bytes)
+/* Returns whether the numbers of a header are within their bounds, in a file of this size. */
+static bool is_sound(const struct mo_atlas_header *header, uint64_t file_bytes)
 {
-  const struct mo_atlas_scope scope = scope_of(head);
+  const struct mo_atlas_scope scope = scope_of(header);
   uint64_t bodies = 0;
   for (int axis = 0; axis < 3; axis++)
-    if (head->sides[axis] > UINT16_MAX)
+    if (header->sides[axis] > UINT16_MAX)
       return false;
-  if (mo_atlas_scope_check(&scope, NULL) != MO_OK || head->orientations > MO_ATLAS_IMAGES ||
-      head->n_environments < 1 || head->n_environments > MO_ATLAS_ENVIRONMENTS_MAX ||
-      head->block_bodies != MO_ATLAS_BLOCK || head->environments_bytes % 8 != 0 ||
-      (head->version == MO_ATLAS_MEASURED) != (mo_atlas_head_measures(head) != 0) ||
-      memchr(head->fingerprint, '\0', sizeof(head->fingerprint)) == NULL)
+  if (mo_atlas_scope_check(&scope, NULL) != MO_OK || header->orientations > MO_ATLAS_IMAGES ||
+      header->n_environments < 1 || header->n_environments > MO_ATLAS_ENVIRONMENTS_MAX ||
+      header->block_bodies != MO_ATLAS_BLOCK || header->environments_bytes % 8 != 0 ||
+      (header->version == MO_ATLAS_MEASURED) != (mo_atlas_header_measures(header) != 0) ||
+      memchr(header->fingerprint, '\0', sizeof(header->fingerprint)) == NULL)
     return false;
   for (uint32_t i = 0; i < MO_ATLAS_VOXELS_MAX; i++) {
-    if (head->counts[i] > file_bytes || (i >= head->voxels_max && head->counts[i] > 0))
+    if (header->counts[i] > file_bytes || (i >= header->voxels_max && header->counts[i] > 0))
       return false;
-    bodies += head->counts[i];
+    bodies += header->counts[i];
   }
   return bodies > 0 && bodies <= UINT32_MAX;
 }
 
-int mo_atlas_head_check(const struct mo_atlas_head *head, uint64_t file_bytes,
-                        struct mo_message *message)
+int mo_atlas_header_check(const struct mo_atlas_header *header, uint64_t file_bytes,
+                          struct mo_message *message)
 {
   struct mo_atlas_layout layout;
-  if (file_bytes < sizeof(head->magic) ||
-      memcmp(head->magic, MO_ATLAS_MAGIC, sizeof(head->magic)) != 0)
+  if (file_bytes < sizeof(header->magic) ||
+      memcmp(header->magic, MO_ATLAS_MAGIC, sizeof(header->magic)) != 0)
     return mo_fail(message, MO_ERR_FORMAT, "this is not an atlas file: check its name");
-  if (file_bytes < sizeof(*head))
+  if (file_bytes < sizeof(*header))
     return mo_fail(message, MO_ERR_CORRUPT, "the atlas file is truncated: " REMEDY);
-  if (head->byte_order != MO_ATLAS_ORDER)
+  if (header->byte_order != MO_ATLAS_ORDER)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
                    "the atlas file has another byte order: write it on a little-endian machine");
-  if (head->version < MO_ATLAS_VERSION || head->version > MO_ATLAS_MEASURED)
+  if (header->version < MO_ATLAS_VERSION || header->version > MO_ATLAS_MEASURED)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
                    "the atlas file has version %u; this program reads versions %d and %d: use "
                    "the program that wrote it, or write the atlas again",
-                   head->version, MO_ATLAS_VERSION, MO_ATLAS_MEASURED);
-  if (head->end[head->version == MO_ATLAS_MEASURED] != mo_atlas_head_hash(head) ||
-      !is_sound(head, file_bytes))
-    return mo_fail(message, MO_ERR_CORRUPT, "the head of the atlas file is damaged: " REMEDY);
-  if (mo_atlas_head_measures(head) > MO_MEASURES_ALL)
+                   header->version, MO_ATLAS_VERSION, MO_ATLAS_MEASURED);
+  if (header->end[header->version == MO_ATLAS_MEASURED] != mo_atlas_header_hash(header) ||
+      !is_sound(header, file_bytes))
+    return mo_fail(message, MO_ERR_CORRUPT, "the header of the atlas file is damaged: " REMEDY);
+  if (mo_atlas_header_measures(header) > MO_MEASURES_ALL)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
                    "the atlas file has unknown measures: use the program that wrote it");
-  mo_atlas_layout_fill(head, &layout);
+  mo_atlas_layout_fill(header, &layout);
   if (layout.begins[MO_ATLAS_VOXELS_MAX] != file_bytes)
     return mo_fail(
         message, MO_ERR_CORRUPT, "the atlas file has %llu bytes, but should have %llu: " REMEDY,
@@ -88,18 +89,18 @@ static int fail_to_read(int error, struct mo_message *message)
   return mo_fail(message, error, "the atlas file cannot be read: %s", mo_error_text(error));
 }
 
-static int read_environments(int fd, const struct mo_atlas_head *head, struct mo_atlas *atlas)
+static int read_environments(int fd, const struct mo_atlas_header *header, struct mo_atlas *atlas)
 {
-  uint8_t *bytes = malloc(head->environments_bytes > 0 ? head->environments_bytes : 1);
+  uint8_t *bytes = malloc(header->environments_bytes > 0 ? header->environments_bytes : 1);
   struct mo_sha256 hash;
   if (bytes == NULL)
     return MO_ERR_NO_MEMORY;
-  int error = mo_file_read_at(fd, mo_atlas_head_bytes(head), head->environments_bytes, bytes);
+  int error = mo_file_read_at(fd, mo_atlas_header_bytes(header), header->environments_bytes, bytes);
   if (error == MO_OK) {
-    mo_sha256_of(bytes, head->environments_bytes, &hash);
-    error = mo_sha256_equal(&hash, &head->environments)
-                ? mo_atlas_environments_unpack(bytes, head->environments_bytes,
-                                               head->n_environments, &atlas->environments)
+    mo_sha256_of(bytes, header->environments_bytes, &hash);
+    error = mo_sha256_equal(&hash, &header->environments)
+                ? mo_atlas_environments_unpack(bytes, header->environments_bytes,
+                                               header->n_environments, &atlas->environments)
                 : MO_ERR_CORRUPT;
   }
   free(bytes);
@@ -125,7 +126,7 @@ static int read_blocks(int fd, struct mo_atlas *atlas)
       error = mo_atlas_block_check(&atlas->layout, &block, &atlas->sets, bytes, has_last, &last);
     if (error == MO_OK) {
       atlas->blocks[i] = block;
-      memcpy(&atlas->first_keys[i], bytes + sizeof(struct mo_atlas_block_head), sizeof(uint64_t));
+      memcpy(&atlas->first_keys[i], bytes + sizeof(struct mo_atlas_block_header), sizeof(uint64_t));
     }
   }
   free(bytes);
@@ -134,29 +135,29 @@ static int read_blocks(int fd, struct mo_atlas *atlas)
 
 static int read_all(int fd, struct mo_atlas *atlas, struct mo_message *message)
 {
-  struct mo_atlas_head head = {.version = 0};
+  struct mo_atlas_header header = {.version = 0};
   struct stat status;
   if (fstat(fd, &status) != 0)
     return fail_to_read(MO_ERR_IO, message);
   atlas->bytes = (size_t)status.st_size;
-  int error =
-      mo_file_read_at(fd, 0, atlas->bytes < sizeof(head) ? atlas->bytes : sizeof(head), &head);
+  int error = mo_file_read_at(fd, 0, atlas->bytes < sizeof(header) ? atlas->bytes : sizeof(header),
+                              &header);
   if (error != MO_OK)
     return fail_to_read(error, message);
-  error = mo_atlas_head_check(&head, atlas->bytes, message);
+  error = mo_atlas_header_check(&header, atlas->bytes, message);
   if (error != MO_OK)
     return error;
   atlas->source =
-      (struct mo_atlas_source){.scope = scope_of(&head),
-                               .orientations = (enum mo_atlas_orientations)head.orientations,
-                               .measures = (uint32_t)mo_atlas_head_measures(&head)};
-  memcpy(atlas->source.controller_sha256, head.controller.bytes, sizeof(head.controller.bytes));
-  memcpy(atlas->source.physics_sha256, head.physics.bytes, sizeof(head.physics.bytes));
-  memcpy(atlas->source.fingerprint, head.fingerprint, sizeof(head.fingerprint));
-  atlas->environments_sha256 = head.environments;
-  mo_atlas_layout_fill(&head, &atlas->layout);
+      (struct mo_atlas_source){.scope = scope_of(&header),
+                               .orientations = (enum mo_atlas_orientations)header.orientations,
+                               .measures = (uint32_t)mo_atlas_header_measures(&header)};
+  memcpy(atlas->source.controller_sha256, header.controller.bytes, sizeof(header.controller.bytes));
+  memcpy(atlas->source.physics_sha256, header.physics.bytes, sizeof(header.physics.bytes));
+  memcpy(atlas->source.fingerprint, header.fingerprint, sizeof(header.fingerprint));
+  atlas->environments_sha256 = header.environments;
+  mo_atlas_layout_fill(&header, &atlas->layout);
   mo_atlas_sets_fill(atlas->source.scope.workspace, &atlas->sets);
-  error = read_environments(fd, &head, atlas);
+  error = read_environments(fd, &header, atlas);
   if (error == MO_ERR_CORRUPT)
     return mo_fail(message, error, "the environments of the atlas file are damaged: " REMEDY);
   if (error == MO_OK)
@@ -284,7 +285,7 @@ static const struct mo_atlas_block *block_at(const struct mo_atlas *atlas, uint6
 static const uint64_t *keys_of(const struct mo_atlas *atlas, const struct mo_atlas_block *block)
 {
   return (const uint64_t *)(const void *)(atlas->mapped + block->begin +
-                                          sizeof(struct mo_atlas_block_head));
+                                          sizeof(struct mo_atlas_block_header));
 }
 
 uint32_t mo_atlas_key_at(const struct mo_atlas *atlas, uint64_t position, uint64_t *key)

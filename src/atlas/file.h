@@ -16,10 +16,10 @@ struct mo_atlas {
   size_t bytes;
 };
 
-/* Checks a head: what it is, its version, its checksum, and that its numbers are within their
+/* Checks a header: what it is, its version, its checksum, and that its numbers are within their
  * bounds and match the file's size. MO_ERR_FORMAT, MO_ERR_UNSUPPORTED, MO_ERR_CORRUPT. */
-int mo_atlas_head_check(const struct mo_atlas_head *head, uint64_t file_bytes,
-                        struct mo_message *message);
+int mo_atlas_header_check(const struct mo_atlas_header *header, uint64_t file_bytes,
+                          struct mo_message *message);
 
 /* Determines whether a file has this source and these environments. MO_ERR_NO_MEMORY. */
 int mo_atlas_is_of(const struct mo_atlas *atlas, const struct mo_atlas_source *source,

@@ -11,20 +11,20 @@
 
 /* ---- layout ---- */
 
-uint64_t mo_atlas_head_hash(const struct mo_atlas_head *head)
+uint64_t mo_atlas_header_hash(const struct mo_atlas_header *header)
 {
-  return mo_form_hash((const uint8_t *)head, mo_atlas_head_bytes(head) - sizeof(uint64_t));
+  return mo_form_hash((const uint8_t *)header, mo_atlas_header_bytes(header) - sizeof(uint64_t));
 }
 
-void mo_atlas_layout_fill(const struct mo_atlas_head *head, struct mo_atlas_layout *layout)
+void mo_atlas_layout_fill(const struct mo_atlas_header *header, struct mo_atlas_layout *layout)
 {
   *layout = (struct mo_atlas_layout){
-      .n_environments = head->n_environments,
-      .n_measures = (uint32_t)__builtin_popcountll(mo_atlas_head_measures(head)),
-      .voxels_max = head->voxels_max};
-  layout->begins[0] = mo_atlas_head_bytes(head) + head->environments_bytes;
+      .n_environments = header->n_environments,
+      .n_measures = (uint32_t)__builtin_popcountll(mo_atlas_header_measures(header)),
+      .voxels_max = header->voxels_max};
+  layout->begins[0] = mo_atlas_header_bytes(header) + header->environments_bytes;
   for (uint32_t i = 0; i < MO_ATLAS_VOXELS_MAX; i++) {
-    const uint64_t count = head->counts[i], whole = count / MO_ATLAS_BLOCK;
+    const uint64_t count = header->counts[i], whole = count / MO_ATLAS_BLOCK;
     const uint32_t rest = (uint32_t)(count % MO_ATLAS_BLOCK);
     layout->counts[i] = count;
     layout->firsts[i + 1] = layout->firsts[i] + count;
@@ -61,32 +61,32 @@ static size_t padded(size_t bytes)
 
 /* Returns an environment with −0 as 0, so that equal ones have equal bytes. Borrows its grid. */
 static struct mo_environment cleared(const struct mo_environment *environment,
-                                     struct mo_atlas_environment_head *head)
+                                     struct mo_atlas_environment_header *header)
 {
   struct mo_environment clear = *environment;
   mo_fields_clear_minus(&mo_environment_fields, &clear);
-  head->version = mo_environment_version(&clear);
-  head->bytes = (uint32_t)mo_environment_packed_bytes(&clear, head->version);
+  header->version = mo_environment_version(&clear);
+  header->bytes = (uint32_t)mo_environment_packed_bytes(&clear, header->version);
   return clear;
 }
 
 int mo_atlas_environments_pack(const struct mo_environment *environments, uint32_t n,
                                uint8_t **bytes, size_t *size)
 {
-  struct mo_atlas_environment_head head;
+  struct mo_atlas_environment_header header;
   size_t all = 0;
   for (uint32_t i = 0; i < n; i++) {
-    (void)cleared(&environments[i], &head);
-    all += sizeof(head) + padded(head.bytes);
+    (void)cleared(&environments[i], &header);
+    all += sizeof(header) + padded(header.bytes);
   }
   uint8_t *packed = calloc(1, all > 0 ? all : 1), *to = packed;
   if (packed == NULL)
     return MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < n; i++) {
-    const struct mo_environment environment = cleared(&environments[i], &head);
-    memcpy(to, &head, sizeof(head));
-    mo_environment_pack(&environment, head.version, to + sizeof(head));
-    to += sizeof(head) + padded(head.bytes);
+    const struct mo_environment environment = cleared(&environments[i], &header);
+    memcpy(to, &header, sizeof(header));
+    mo_environment_pack(&environment, header.version, to + sizeof(header));
+    to += sizeof(header) + padded(header.bytes);
   }
   *bytes = packed;
   *size = all;
@@ -97,21 +97,21 @@ int mo_atlas_environments_pack(const struct mo_environment *environments, uint32
 static int unpack(const uint8_t *bytes, size_t size, struct mo_environment *environment,
                   size_t *used)
 {
-  struct mo_atlas_environment_head head;
+  struct mo_atlas_environment_header header;
   size_t packed = 0;
-  if (size < sizeof(head))
+  if (size < sizeof(header))
     return MO_ERR_CORRUPT;
-  memcpy(&head, bytes, sizeof(head));
-  if (head.bytes > size - sizeof(head) || padded(head.bytes) > size - sizeof(head))
+  memcpy(&header, bytes, sizeof(header));
+  if (header.bytes > size - sizeof(header) || padded(header.bytes) > size - sizeof(header))
     return MO_ERR_CORRUPT;
-  *used = sizeof(head) + padded(head.bytes);
+  *used = sizeof(header) + padded(header.bytes);
   *environment = mo_environment_defaults;
-  if (head.version < 1 || head.version > MO_ENVIRONMENT_VERSION)
+  if (header.version < 1 || header.version > MO_ENVIRONMENT_VERSION)
     return MO_ERR_CORRUPT;
-  int error =
-      mo_environment_unpack(head.version, bytes + sizeof(head), head.bytes, environment, &packed);
+  int error = mo_environment_unpack(header.version, bytes + sizeof(header), header.bytes,
+                                    environment, &packed);
   if (error == MO_OK &&
-      (packed != head.bytes || mo_environment_version(environment) != head.version ||
+      (packed != header.bytes || mo_environment_version(environment) != header.version ||
        mo_environment_check(environment, NULL) != MO_OK))
     error = MO_ERR_FORMAT;
   if (error != MO_OK)
@@ -175,16 +175,17 @@ int mo_atlas_block_check(const struct mo_atlas_layout *layout, const struct mo_a
 {
   const uint64_t end = sets->of[sets->voxels][block->n_voxels];
   const size_t checked = mo_atlas_checksum_at(layout, block->n);
-  struct mo_atlas_block_head head;
+  struct mo_atlas_block_header header;
   uint64_t checksum, before = *last;
-  memcpy(&head, bytes, sizeof(head));
+  memcpy(&header, bytes, sizeof(header));
   memcpy(&checksum, bytes + checked, sizeof(checksum));
-  if (head.n_voxels != block->n_voxels || head.n != block->n || head.position != block->position ||
-      checksum != mo_form_hash(bytes, checked) || has_wrong(layout, bytes, block->n))
+  if (header.n_voxels != block->n_voxels || header.n != block->n ||
+      header.position != block->position || checksum != mo_form_hash(bytes, checked) ||
+      has_wrong(layout, bytes, block->n))
     return MO_ERR_CORRUPT;
   for (uint32_t i = 0; i < block->n; i++) {
     uint64_t key;
-    memcpy(&key, bytes + sizeof(head) + 8 * (size_t)i, sizeof(key));
+    memcpy(&key, bytes + sizeof(header) + 8 * (size_t)i, sizeof(key));
     if (key >= end || ((has_last || i > 0) && key <= before))
       return MO_ERR_CORRUPT;
     before = key;

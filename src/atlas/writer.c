@@ -1,8 +1,8 @@
 /* writer.c: writes atlas files.
  *
  * PATH.part grows block by block, each synced before the next begins, and becomes PATH when it is
- * complete and synced. A writer that finds a PATH.part compares its head and environments with its
- * own, checks its blocks, cuts it off after the last whole one, and continues there. Whatever a
+ * complete and synced. A writer that finds a PATH.part compares its header and environments with
+ * its own, checks its blocks, cuts it off after the last whole one, and continues there. Whatever a
  * crash left behind is either a whole block or cut off, so the file does not depend on where it
  * was interrupted. The lock of PATH.part keeps other writers away, and ends with the process.
  *
@@ -43,7 +43,7 @@ struct mo_atlas_writer {
   uint32_t filled;    /* its bodies so far */
   uint32_t saved;     /* those already in PATH.part */
   uint8_t *bytes;     /* its bytes, and room for the largest block */
-  uint8_t *beginning; /* the head and the environments */
+  uint8_t *beginning; /* the header and the environments */
   size_t beginning_bytes;
 };
 
@@ -85,14 +85,14 @@ static int append(struct mo_atlas_writer *writer, uint64_t end, const uint8_t *b
   return error;
 }
 
-/* Completes the head and the checksum of a block, and writes it. */
+/* Completes the header and the checksum of a block, and writes it. */
 static int write_block(struct mo_atlas_writer *writer, const struct mo_atlas_block *block,
                        uint8_t *bytes)
 {
-  const struct mo_atlas_block_head head = {
+  const struct mo_atlas_block_header header = {
       .n_voxels = block->n_voxels, .n = block->n, .position = block->position};
   const size_t checked = mo_atlas_checksum_at(&writer->layout, block->n);
-  memcpy(bytes, &head, sizeof(head));
+  memcpy(bytes, &header, sizeof(header));
   const uint64_t checksum = mo_form_hash(bytes, checked);
   memcpy(bytes + checked, &checksum, sizeof(checksum));
   const int error = append(writer, block->begin, bytes, block->bytes);
@@ -115,8 +115,8 @@ static struct mo_atlas_block some_of(const struct mo_atlas_writer *writer,
 static void copy_bodies(const struct mo_atlas_writer *writer, uint32_t n, const uint8_t *from,
                         uint32_t from_n, uint8_t *to, uint32_t to_n)
 {
-  const size_t head = sizeof(struct mo_atlas_block_head);
-  memcpy(to + head, from + head, 8 * (size_t)n);
+  const size_t header = sizeof(struct mo_atlas_block_header);
+  memcpy(to + header, from + header, 8 * (size_t)n);
   memcpy(to + mo_atlas_scores_at(to_n), from + mo_atlas_scores_at(from_n), 4 * (size_t)n);
   memcpy(to + mo_atlas_losses_at(to_n), from + mo_atlas_losses_at(from_n),
          2 * (size_t)n * writer->layout.n_environments);
@@ -173,7 +173,7 @@ static void put(struct mo_atlas_writer *writer, const struct mo_atlas_block *blo
     sum += losses[e];
   }
   const float score = (float)(sum / n_environments);
-  memcpy(writer->bytes + sizeof(struct mo_atlas_block_head) + 8 * i, &writer->next_key,
+  memcpy(writer->bytes + sizeof(struct mo_atlas_block_header) + 8 * i, &writer->next_key,
          sizeof(writer->next_key));
   memcpy(writer->bytes + mo_atlas_scores_at(block->n) + 4 * i, &score, sizeof(score));
   put_measures(writer, block, measures);
@@ -282,8 +282,8 @@ int mo_atlas_writer_finish(struct mo_atlas_writer *writer, struct mo_message *me
 
 /* ---- an unfinished file ---- */
 
-/* Returns whether the file begins with the writer's head and environments; *is_cut: it ends within
- * them. */
+/* Returns whether the file begins with the writer's header and environments; *is_cut: it ends
+ * within them. */
 static int compare_beginning(const struct mo_atlas_writer *writer, uint64_t file_bytes,
                              bool *is_same, bool *is_cut)
 {
@@ -306,14 +306,14 @@ static size_t take_saved(struct mo_atlas_writer *writer, uint64_t end, uint64_t 
 {
   const struct mo_atlas_block block = mo_atlas_block_of(&writer->layout, writer->block);
   const uint64_t left = file_bytes - end;
-  struct mo_atlas_block_head head = {.n = 0};
-  uint8_t *bytes = left >= sizeof(head) && left < block.bytes ? malloc(left) : NULL;
+  struct mo_atlas_block_header header = {.n = 0};
+  uint8_t *bytes = left >= sizeof(header) && left < block.bytes ? malloc(left) : NULL;
   bool is_whole = bytes != NULL && mo_file_read_at(writer->fd, end, left, bytes) == MO_OK;
   if (is_whole)
-    memcpy(&head, bytes, sizeof(head));
-  const struct mo_atlas_block some = some_of(writer, &block, head.n);
+    memcpy(&header, bytes, sizeof(header));
+  const struct mo_atlas_block some = some_of(writer, &block, header.n);
   is_whole =
-      is_whole && head.n > 0 && head.n < block.n && some.bytes == left &&
+      is_whole && header.n > 0 && header.n < block.n && some.bytes == left &&
       mo_atlas_block_check(&writer->layout, &some, &writer->sets, bytes, has_last, last) == MO_OK;
   if (is_whole) {
     memset(writer->bytes, 0, block.bytes);
@@ -432,11 +432,11 @@ static int check(const struct mo_atlas_source *source, const struct mo_environme
   return MO_OK;
 }
 
-/* Makes the head and the environments. */
+/* Makes the header and the environments. */
 static int make_beginning(struct mo_atlas_writer *writer, const struct mo_atlas_source *source,
                           const struct mo_environment *environments, uint32_t n)
 {
-  struct mo_atlas_head head = {
+  struct mo_atlas_header header = {
       .magic = MO_ATLAS_MAGIC,
       .byte_order = MO_ATLAS_ORDER,
       .version = source->measures != 0 ? MO_ATLAS_MEASURED : MO_ATLAS_VERSION,
@@ -447,26 +447,26 @@ static int make_beginning(struct mo_atlas_writer *writer, const struct mo_atlas_
       .block_bodies = MO_ATLAS_BLOCK};
   uint8_t *packed = NULL;
   size_t size = 0;
-  int error = mo_atlas_bodies_count(writer->bodies, head.counts);
+  int error = mo_atlas_bodies_count(writer->bodies, header.counts);
   if (error == MO_OK)
     error = mo_atlas_environments_pack(environments, n, &packed, &size);
   if (error != MO_OK)
     return error;
-  memcpy(head.controller.bytes, source->controller_sha256, sizeof(head.controller.bytes));
-  memcpy(head.physics.bytes, source->physics_sha256, sizeof(head.physics.bytes));
-  memcpy(head.fingerprint, source->fingerprint, strlen(source->fingerprint));
-  head.environments_bytes = (uint32_t)size;
-  mo_sha256_of(packed, size, &head.environments);
-  head.end[0] = source->measures;
-  *mo_atlas_head_checksum(&head) = mo_atlas_head_hash(&head);
-  mo_atlas_layout_fill(&head, &writer->layout);
-  writer->beginning_bytes = mo_atlas_head_bytes(&head) + size;
+  memcpy(header.controller.bytes, source->controller_sha256, sizeof(header.controller.bytes));
+  memcpy(header.physics.bytes, source->physics_sha256, sizeof(header.physics.bytes));
+  memcpy(header.fingerprint, source->fingerprint, strlen(source->fingerprint));
+  header.environments_bytes = (uint32_t)size;
+  mo_sha256_of(packed, size, &header.environments);
+  header.end[0] = source->measures;
+  *mo_atlas_header_checksum(&header) = mo_atlas_header_hash(&header);
+  mo_atlas_layout_fill(&header, &writer->layout);
+  writer->beginning_bytes = mo_atlas_header_bytes(&header) + size;
   writer->beginning = malloc(writer->beginning_bytes);
   writer->bytes = malloc(mo_atlas_block_bytes(&writer->layout, MO_ATLAS_BLOCK));
   if (writer->beginning == NULL || writer->bytes == NULL) {
     error = MO_ERR_NO_MEMORY;
   } else {
-    memcpy(writer->beginning, &head, writer->beginning_bytes - size);
+    memcpy(writer->beginning, &header, writer->beginning_bytes - size);
     memcpy(writer->beginning + writer->beginning_bytes - size, packed, size);
   }
   free(packed);

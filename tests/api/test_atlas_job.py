@@ -44,13 +44,13 @@ class Atlas:
         (order, version, *self.sides, self.voxels, self.orientations, self.n, block,
          worlds) = struct.unpack("<10I", data[16:56])
         assert order == 0x01020304 and version in (1, 2)
-        head = 304 if version == 1 else 312
+        header = 304 if version == 1 else 312
         bits = struct.unpack("<Q", data[296:304])[0] if version == 2 else 0
         self.names = [name for m, name in enumerate(MEASURES) if bits >> m & 1]
         self.counts = struct.unpack("<10Q", data[56:136])
         self.controller, self.physics = data[136:168].hex(), data[168:200].hex()
         self.fingerprint = data[232:296].rstrip(b"\0").decode()
-        self.scores, self.losses, self.measures, at = [], [], [], head + worlds
+        self.scores, self.losses, self.measures, at = [], [], [], header + worlds
         while at < len(data):
             _, n, first = struct.unpack("<IIQ", data[at:at + 16])
             assert n <= block and first == len(self.scores)

@@ -615,7 +615,7 @@ def test_the_tool_refuses(answers, tmp_path, bytes, words):
 
 @pytest.mark.parametrize("at", [60, 310, 3000, -5000, -9])
 def test_the_tool_refuses_damage(answers, tmp_path, at):
-    """In the head, the environments, and blocks."""
+    """In the header, the environments, and blocks."""
     damaged = bytearray(answers["path"].read_bytes())
     damaged[at] ^= 1
     (tmp_path / "a.atlas").write_bytes(damaged)

@@ -15,18 +15,19 @@
 
 static void repair(uint8_t *file, size_t size)
 {
-  struct mo_atlas_head head;
+  struct mo_atlas_header header;
   struct mo_atlas_layout layout;
-  if (size < sizeof(head))
+  if (size < sizeof(header))
     return;
-  memcpy(&head, file, sizeof(head));
-  if (head.environments_bytes <= size - mo_atlas_head_bytes(&head))
-    mo_sha256_of(file + mo_atlas_head_bytes(&head), head.environments_bytes, &head.environments);
-  *mo_atlas_head_checksum(&head) = mo_atlas_head_hash(&head);
-  memcpy(file, &head, sizeof(head));
-  if (mo_atlas_head_check(&head, size, NULL) != MO_OK)
+  memcpy(&header, file, sizeof(header));
+  if (header.environments_bytes <= size - mo_atlas_header_bytes(&header))
+    mo_sha256_of(file + mo_atlas_header_bytes(&header), header.environments_bytes,
+                 &header.environments);
+  *mo_atlas_header_checksum(&header) = mo_atlas_header_hash(&header);
+  memcpy(file, &header, sizeof(header));
+  if (mo_atlas_header_check(&header, size, NULL) != MO_OK)
     return;
-  mo_atlas_layout_fill(&head, &layout);
+  mo_atlas_layout_fill(&header, &layout);
   for (uint64_t i = 0; i < layout.blocks[MO_ATLAS_VOXELS_MAX]; i++) {
     const struct mo_atlas_block block = mo_atlas_block_of(&layout, i);
     const size_t checked = mo_atlas_checksum_at(&layout, block.n);

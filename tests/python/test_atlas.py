@@ -385,6 +385,6 @@ def test_the_atlases_that_come_with_morphod():
         assert f"`{hashlib.sha256(content).hexdigest()}`" in text and len(content) < 200_000
         atlas = Atlas.open(file, check=True)
         assert sum(atlas.sizes.values()) == 3822 and atlas.orientations == "canonical"
-        assert atlas.head.controller_sha256 == hashlib.sha256(controller).hexdigest()
+        assert atlas.header.controller_sha256 == hashlib.sha256(controller).hexdigest()
         best, n = atlas.score(int(atlas.best(1)[0])), len(atlas.optima())
         assert f"| `{file.name}` | {best:.4f} | {n} |" in text

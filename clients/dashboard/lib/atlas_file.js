@@ -11,14 +11,14 @@
 const MAGIC = 'morphod atlas\r\n\0';
 /** Without and with measures. */
 const VERSIONS = [1, 2];
-const HEAD = 304;
+const HEADER = 304;
 /** All measures, in the order of their bits in a file (include/morpho/measure.h). */
 const MEASURES = ['displacement_m', 'path_length_m', 'mean_speed_m_per_s', 'straightness',
   'heading_error_rad', 'sideways_m', 'peak_height_m', 'mean_height_m', 'tilt_rad',
   'yaw_rate_rad_per_s', 'air_share', 'contact_front_share', 'contact_back_share',
   'contact_left_share', 'contact_right_share', 'hops_per_s', 'work_j', 'cost_of_transport',
   'peak_strain', 'inverted_voxels'];
-const BLOCK_HEAD = 16;
+const BLOCK_HEADER = 16;
 const VOXELS_MAX = 10;
 const GUIDES = ['fixed', 'ahead', 'turning', 'path', 'moving'];
 const OBJECTIVES = ['reach', 'approach', 'travel', 'follow', 'climb', 'pursue', 'efficient',
@@ -139,17 +139,17 @@ export class AtlasFile {
     this.basinsLoad = undefined;
     const view = new DataView(buffer);
     const refuse = (why) => { throw new AtlasError(`${name} ${why}`); };
-    const magic = buffer.byteLength >= HEAD
+    const magic = buffer.byteLength >= HEADER
       ? String.fromCharCode(...new Uint8Array(buffer, 0, MAGIC.length)) : '';
     if (magic !== MAGIC) refuse('is not an atlas file.');
     const version = view.getUint32(20, true);
     if (view.getUint32(16, true) !== 0x01020304 || !VERSIONS.includes(version)) {
       refuse(`has format version ${version}; this page reads ${VERSIONS.join(' and ')}.`);
     }
-    const bits = version > 1 ? Number(view.getBigUint64(HEAD - 8, true)) : 0;
+    const bits = version > 1 ? Number(view.getBigUint64(HEADER - 8, true)) : 0;
     if (bits >= 2 ** MEASURES.length) refuse('has unknown measures.');
     this.measures = MEASURES.filter((_, m) => bits >> m & 1);
-    const head = version > 1 ? HEAD + 8 : HEAD;
+    const header = version > 1 ? HEADER + 8 : HEADER;
     this.sides = [24, 28, 32].map((at) => view.getUint32(at, true));
     this.voxelsMax = view.getUint32(36, true);
     this.orientations = ['canonical', 'images'][view.getUint32(40, true)];
@@ -167,7 +167,7 @@ export class AtlasFile {
     this.controller = hex(136);
     this.physics = hex(168);
     this.environments = [];
-    for (let i = 0, at = head; i < this.nEnvironments; i++) {
+    for (let i = 0, at = header; i < this.nEnvironments; i++) {
       this.environments.push({ task: taskOfPacked(view, at + 8, view.getUint32(at, true)) });
       at += 8 + align(view.getUint32(at + 4, true));
     }
@@ -177,7 +177,7 @@ export class AtlasFile {
     this.lossesAt = new Float64Array(this.n);
     /** By measure; NaN: the body has no value. */
     this.values = Object.fromEntries(this.measures.map((name) => [name, new Float32Array(this.n)]));
-    let at = head + environmentBytes;
+    let at = header + environmentBytes;
     for (let n = 1; n <= VOXELS_MAX; n++) {
       for (let done = 0; done < this.counts[n]; done += blockBodies) {
         at = this.#readBlock(view, at, this.firsts[n] + done,
@@ -191,13 +191,13 @@ export class AtlasFile {
   }
 
   #readBlock(view, at, first, n, refuse) {
-    const scores = at + BLOCK_HEAD + 8 * n;
+    const scores = at + BLOCK_HEADER + 8 * n;
     const losses = scores + align(4 * n);
     const measures = losses + align(2 * n * this.nEnvironments);
     const end = measures + align(4 * n * this.measures.length) + 8; // a checksum
     if (end > view.byteLength) refuse('is truncated.');
     for (let i = 0; i < n; i++) {
-      const key = at + BLOCK_HEAD + 8 * i;
+      const key = at + BLOCK_HEADER + 8 * i;
       this.keys[first + i] = view.getUint32(key, true) + 2 ** 32 * view.getUint32(key + 4, true);
       this.scores[first + i] = view.getFloat32(scores + 4 * i, true);
       this.lossesAt[first + i] = losses + 2 * i * this.nEnvironments;

@@ -248,9 +248,9 @@ static void damage(int set)
   char path[FIXTURE_PATH];
   size_t size;
   uint8_t *bytes = small_file_with((uint32_t)set, path, &size);
-  REQUIRE(size > sizeof(struct mo_atlas_head));
+  REQUIRE(size > sizeof(struct mo_atlas_header));
   for (size_t at = 0; at < size;
-       at += at < sizeof(struct mo_atlas_head) || at > size - 64 ? 1 : 7) {
+       at += at < sizeof(struct mo_atlas_header) || at > size - 64 ? 1 : 7) {
     struct mo_atlas *atlas = NULL;
     struct mo_message message = {""};
     bytes[at] ^= 0x10;
@@ -270,8 +270,8 @@ static void damage(int set)
   CHECK(fixture_open(path) != NULL);
 }
 
-/* Changes members of the head and fixes its checksum. */
-static void head_that_lies(void)
+/* Changes members of the header and fixes its checksum. */
+static void header_that_lies(void)
 {
   static const struct {
     size_t at;
@@ -279,33 +279,33 @@ static void head_that_lies(void)
     int error;
     const char *words;
   } lies[] = {
-      {offsetof(struct mo_atlas_head, version), 3, MO_ERR_UNSUPPORTED, "version 3"},
-      {offsetof(struct mo_atlas_head, byte_order), 0x04030201, MO_ERR_UNSUPPORTED, "byte order"},
-      {offsetof(struct mo_atlas_head, sides), 0, MO_ERR_CORRUPT, "head"},
-      {offsetof(struct mo_atlas_head, sides), 65542, MO_ERR_CORRUPT, "head"},
-      {offsetof(struct mo_atlas_head, voxels_max), 3, MO_ERR_CORRUPT, "head"},
-      {offsetof(struct mo_atlas_head, voxels_max), 11, MO_ERR_CORRUPT, "head"},
-      {offsetof(struct mo_atlas_head, orientations), 2, MO_ERR_CORRUPT, "head"},
-      {offsetof(struct mo_atlas_head, n_environments), 0, MO_ERR_CORRUPT, "head"},
-      {offsetof(struct mo_atlas_head, n_environments), 65, MO_ERR_CORRUPT, "head"},
-      {offsetof(struct mo_atlas_head, n_environments), 3, MO_ERR_CORRUPT, "should have"},
-      {offsetof(struct mo_atlas_head, block_bodies), 4095, MO_ERR_CORRUPT, "head"},
-      {offsetof(struct mo_atlas_head, environments_bytes), 8, MO_ERR_CORRUPT, "should have"},
-      {offsetof(struct mo_atlas_head, counts) + 24, 20, MO_ERR_CORRUPT, "should have"},
-      {offsetof(struct mo_atlas_head, counts) + 4, 0x80000000, MO_ERR_CORRUPT, "head"},
-      {offsetof(struct mo_atlas_head, environments), 1, MO_ERR_CORRUPT, "environments"},
+      {offsetof(struct mo_atlas_header, version), 3, MO_ERR_UNSUPPORTED, "version 3"},
+      {offsetof(struct mo_atlas_header, byte_order), 0x04030201, MO_ERR_UNSUPPORTED, "byte order"},
+      {offsetof(struct mo_atlas_header, sides), 0, MO_ERR_CORRUPT, "header"},
+      {offsetof(struct mo_atlas_header, sides), 65542, MO_ERR_CORRUPT, "header"},
+      {offsetof(struct mo_atlas_header, voxels_max), 3, MO_ERR_CORRUPT, "header"},
+      {offsetof(struct mo_atlas_header, voxels_max), 11, MO_ERR_CORRUPT, "header"},
+      {offsetof(struct mo_atlas_header, orientations), 2, MO_ERR_CORRUPT, "header"},
+      {offsetof(struct mo_atlas_header, n_environments), 0, MO_ERR_CORRUPT, "header"},
+      {offsetof(struct mo_atlas_header, n_environments), 65, MO_ERR_CORRUPT, "header"},
+      {offsetof(struct mo_atlas_header, n_environments), 3, MO_ERR_CORRUPT, "should have"},
+      {offsetof(struct mo_atlas_header, block_bodies), 4095, MO_ERR_CORRUPT, "header"},
+      {offsetof(struct mo_atlas_header, environments_bytes), 8, MO_ERR_CORRUPT, "should have"},
+      {offsetof(struct mo_atlas_header, counts) + 24, 20, MO_ERR_CORRUPT, "should have"},
+      {offsetof(struct mo_atlas_header, counts) + 4, 0x80000000, MO_ERR_CORRUPT, "header"},
+      {offsetof(struct mo_atlas_header, environments), 1, MO_ERR_CORRUPT, "environments"},
   };
   char path[FIXTURE_PATH];
   size_t size;
   uint8_t *bytes = small_file(path, &size);
   for (size_t i = 0; i < COUNT(lies); i++) {
-    struct mo_atlas_head head;
-    memcpy(&head, bytes, sizeof(head));
-    memcpy((uint8_t *)&head + lies[i].at, &lies[i].value, sizeof(lies[i].value));
-    *mo_atlas_head_checksum(&head) = mo_atlas_head_hash(&head);
+    struct mo_atlas_header header;
+    memcpy(&header, bytes, sizeof(header));
+    memcpy((uint8_t *)&header + lies[i].at, &lies[i].value, sizeof(lies[i].value));
+    *mo_atlas_header_checksum(&header) = mo_atlas_header_hash(&header);
     uint8_t *changed = make_zeros(size, 1);
     memcpy(changed, bytes, size);
-    memcpy(changed, &head, sizeof(head));
+    memcpy(changed, &header, sizeof(header));
     refuse(path, changed, size, lies[i].error, lies[i].words);
   }
 }
@@ -323,24 +323,24 @@ static void measures_that_lie(void)
               {SOME, 0x7fc00001, MO_ERR_CORRUPT, "damaged or unsorted"},
               {SOME, 0xffc00000, MO_ERR_CORRUPT, "damaged or unsorted"},
               {SOME, 0xff800000, MO_ERR_CORRUPT, "damaged or unsorted"},
-              {0, 0, MO_ERR_CORRUPT, "head"},
+              {0, 0, MO_ERR_CORRUPT, "header"},
               {1, 0, MO_ERR_CORRUPT, "should have"},
               {SOME | 1U << MO_MEASURES, 0, MO_ERR_UNSUPPORTED, "unknown measures"}};
   char path[FIXTURE_PATH];
   size_t size;
   uint8_t *bytes = small_file_with(SOME, path, &size);
   struct mo_atlas_layout layout;
-  struct mo_atlas_head head;
-  memcpy(&head, bytes, sizeof(head));
-  CHECK(head.version == 2 && mo_atlas_head_bytes(&head) == 312);
-  mo_atlas_layout_fill(&head, &layout);
+  struct mo_atlas_header header;
+  memcpy(&header, bytes, sizeof(header));
+  CHECK(header.version == 2 && mo_atlas_header_bytes(&header) == 312);
+  mo_atlas_layout_fill(&header, &layout);
   const struct mo_atlas_block block = mo_atlas_block_of(&layout, 3); /* 21 bodies of 4 voxels */
   uint8_t *const begin = bytes + block.begin;
   for (size_t i = 0; i < COUNT(lies); i++) {
     struct mo_atlas *atlas = NULL;
-    head.end[0] = lies[i].set;
-    *mo_atlas_head_checksum(&head) = mo_atlas_head_hash(&head);
-    memcpy(bytes, &head, sizeof(head));
+    header.end[0] = lies[i].set;
+    *mo_atlas_header_checksum(&header) = mo_atlas_header_hash(&header);
+    memcpy(bytes, &header, sizeof(header));
     memcpy(begin + mo_atlas_measures_at(&layout, block.n) + 4, &lies[i].value, 4);
     const uint64_t checksum = mo_form_hash(begin, mo_atlas_checksum_at(&layout, block.n));
     memcpy(begin + mo_atlas_checksum_at(&layout, block.n), &checksum, sizeof(checksum));
@@ -361,9 +361,9 @@ static void blocks_that_lie(void)
   size_t size;
   uint8_t *bytes = small_file(path, &size);
   struct mo_atlas_layout layout;
-  struct mo_atlas_head head;
-  memcpy(&head, bytes, sizeof(head));
-  mo_atlas_layout_fill(&head, &layout);
+  struct mo_atlas_header header;
+  memcpy(&header, bytes, sizeof(header));
+  mo_atlas_layout_fill(&header, &layout);
   const struct mo_atlas_block block = mo_atlas_block_of(&layout, 3); /* 21 bodies of 4 voxels */
   REQUIRE(block.n == 21);
   uint8_t *const begin = bytes + block.begin;
@@ -373,7 +373,7 @@ static void blocks_that_lie(void)
     const float nan_score = NAN;
     const uint16_t nan_loss = 0x7c01;
     const uint64_t large = UINT64_MAX;
-    uint64_t *keys = (uint64_t *)(void *)(begin + sizeof(struct mo_atlas_block_head));
+    uint64_t *keys = (uint64_t *)(void *)(begin + sizeof(struct mo_atlas_block_header));
     memcpy(saved, begin, block.bytes);
     if (lie == 0)
       keys[5] = keys[6];
@@ -442,7 +442,7 @@ static const struct check_case cases[] = {
     {"source and environments", environments},
     {"damaged, truncated and longer files", WITH(damage, 0)},
     {"the same with measures", WITH(damage, SOME)},
-    {"heads with wrong numbers", head_that_lies},
+    {"headers with wrong numbers", header_that_lies},
     {"blocks with wrong numbers", blocks_that_lie},
     {"measures with wrong numbers", measures_that_lie},
     {"things that are not atlas files", other_files},

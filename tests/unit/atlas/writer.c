@@ -140,7 +140,7 @@ static void torn(void)
     FILE *file = fopen(part, "wb");
     REQUIRE(file != NULL);
     CHECK_INT(fwrite(bytes, 1, cut, file), cut);
-    for (int i = 0; i < 3000 && cut > sizeof(struct mo_atlas_head) + 2000; i++)
+    for (int i = 0; i < 3000 && cut > sizeof(struct mo_atlas_header) + 2000; i++)
       (void)fputc(i % 7, file);
     CHECK_OK(fclose(file));
     complete(bytes, size);
@@ -200,11 +200,11 @@ static void altered_block(void)
 {
   size_t size, found;
   const uint8_t *bytes = whole(&size);
-  struct mo_atlas_head head;
+  struct mo_atlas_header header;
   struct mo_atlas_layout layout;
   struct mo_message message = {""};
-  memcpy(&head, bytes, sizeof(head));
-  mo_atlas_layout_fill(&head, &layout);
+  memcpy(&header, bytes, sizeof(header));
+  mo_atlas_layout_fill(&header, &layout);
   const struct mo_atlas_block block = mo_atlas_block_of(&layout, 9);
   struct mo_atlas_writer *writer = create(&message, MO_OK);
   REQUIRE_OK(fixture_add(writer, &source, N, LEVELS, 24000));

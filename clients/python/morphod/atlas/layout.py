@@ -1,4 +1,4 @@
-"""The layout of an atlas file (docs/atlas.md, "A file"): its head and its blocks."""
+"""The layout of an atlas file (docs/atlas.md, "A file"): its header and its blocks."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ _BLOCK = 4096
 _NO_VALUE = 0x7fc00000
 _VOXELS_OF_WORKSPACE_MAX = 192
 _ENVIRONMENTS_MAX = 64
-_HEAD = struct.Struct("<16s2I3I I 2I 2I 10Q 32s32s32s 64s Q")
+_HEADER = struct.Struct("<16s2I3I I 2I 2I 10Q 32s32s32s 64s Q")
 _WORD = struct.Struct("<Q")
-_BLOCK_HEAD = struct.Struct("<2IQ")
+_BLOCK_HEADER = struct.Struct("<2IQ")
 _ORIENTATIONS = ("canonical", "images")
 _REMEDY = "remove it and write the atlas again"
 _64_BITS = (1 << 64) - 1
@@ -45,8 +45,8 @@ class AtlasError(MorphodError, ValueError):
 
 
 @dataclasses.dataclass(frozen=True)
-class Head:
-    """The information in a file's head."""
+class Header:
+    """The information in a file's header."""
 
     workspace: tuple[int, int, int]
     voxels_max: int
@@ -59,7 +59,7 @@ class Head:
     environments_sha256: str
     fingerprint: str
     measures: tuple[str, ...] = ()
-    head_bytes: int = _HEAD.size
+    header_bytes: int = _HEADER.size
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -85,10 +85,10 @@ def _padded(n_bytes: int) -> int:
     return (n_bytes + 7) // 8 * 8
 
 
-def _checked_bytes(n: int, head: Head) -> int:
+def _checked_bytes(n: int, header: Header) -> int:
     """Returns the bytes of a block before its checksum."""
-    return (_BLOCK_HEAD.size + 8 * n + _padded(4 * n) + _padded(2 * n * head.n_environments) +
-            _padded(4 * n * len(head.measures)))
+    return (_BLOCK_HEADER.size + 8 * n + _padded(4 * n) + _padded(2 * n * header.n_environments) +
+            _padded(4 * n * len(header.measures)))
 
 
 def _mix(a: int, b: int) -> int:
@@ -97,7 +97,7 @@ def _mix(a: int, b: int) -> int:
 
 
 def checksum(data: bytes) -> int:
-    """Returns the checksum of the bytes of a head or a block, whose number is a multiple of 8."""
+    """Returns the checksum of the bytes of a header or a block, whose number is a multiple of 8."""
     words = struct.unpack(f"<{len(data) // 8}Q", data)
     state = 0x9e3779b97f4a7c15 ^ len(data)
     last = (len(words) - 1) // 2 * 2
@@ -108,15 +108,15 @@ def checksum(data: bytes) -> int:
     return _mix(state ^ 0x8ebc6af09c88c6e3, 0x589965cc75374cc3)
 
 
-def read_head(data: NDArray[np.uint8]) -> Head:
-    """Reads and checks the head of a file with these bytes. Raises `AtlasError`."""
-    raw = bytes(data[:_HEAD.size])
+def read_header(data: NDArray[np.uint8]) -> Header:
+    """Reads and checks the header of a file with these bytes. Raises `AtlasError`."""
+    raw = bytes(data[:_HEADER.size])
     if raw[:16] != MAGIC:
         raise AtlasError("this is not an atlas file: check its name")
-    if len(raw) < _HEAD.size:
+    if len(raw) < _HEADER.size:
         raise AtlasError(f"the atlas file is truncated: {_REMEDY}")
     (_, order, version, nx, ny, nz, voxels_max, orientations, n_environments, block,
-     environments_bytes, *rest) = _HEAD.unpack(raw)
+     environments_bytes, *rest) = _HEADER.unpack(raw)
     counts, (controller, physics, environments, fingerprint, total) = rest[:10], rest[10:]
     if order != _ORDER:
         raise AtlasError("the atlas file has another byte order: write it on a little-endian "
@@ -127,8 +127,8 @@ def read_head(data: NDArray[np.uint8]) -> Head:
                          "wrote it")
     bits = 0
     if version == MEASURED:  # the checksum comes after the measures
-        bits, raw = total, bytes(data[:_HEAD.size + _WORD.size])
-        if len(raw) < _HEAD.size + _WORD.size:
+        bits, raw = total, bytes(data[:_HEADER.size + _WORD.size])
+        if len(raw) < _HEADER.size + _WORD.size:
             raise AtlasError(f"the atlas file is truncated: {_REMEDY}")
         total, = _WORD.unpack(raw[-8:])
     sound = (total == checksum(raw[:-8]) and (bits > 0) == (version == MEASURED) and
@@ -138,56 +138,57 @@ def read_head(data: NDArray[np.uint8]) -> Head:
              block == _BLOCK and environments_bytes % 8 == 0 and b"\0" in fingerprint and
              not any(counts[voxels_max:]) and sum(counts) > 0)
     if not sound:
-        raise AtlasError(f"the head of the atlas file is damaged: {_REMEDY}")
+        raise AtlasError(f"the header of the atlas file is damaged: {_REMEDY}")
     if bits >> len(MEASURES):
         raise AtlasError("the atlas file has unknown measures: use the package version "
                          "of the program that wrote it")
-    head = Head((nx, ny, nz), voxels_max, _ORIENTATIONS[orientations], n_environments,
+    header = Header((nx, ny, nz), voxels_max, _ORIENTATIONS[orientations], n_environments,
                 environments_bytes, tuple(counts[:voxels_max]), controller.hex(), physics.hex(),
                 environments.hex(), fingerprint.partition(b"\0")[0].decode("ascii", "replace"),
                 tuple(name for bit, name in enumerate(MEASURES) if bits >> bit & 1), len(raw))
-    should = _begin_of_blocks(head) + sum(
-        bytes_of for _, _, _, bytes_of in _blocks(head, _begin_of_blocks(head)))
+    should = _begin_of_blocks(header) + sum(
+        bytes_of for _, _, _, bytes_of in _blocks(header, _begin_of_blocks(header)))
     if should != len(data):
         raise AtlasError(f"the atlas file has {len(data)} bytes, but should have {should}: "
                          f"{_REMEDY}")
-    return head
+    return header
 
 
-def _begin_of_blocks(head: Head) -> int:
-    return head.head_bytes + head.environments_bytes
+def _begin_of_blocks(header: Header) -> int:
+    return header.header_bytes + header.environments_bytes
 
 
-def _blocks(head: Head, begin: int) -> Iterator[tuple[int, int, int, int]]:
+def _blocks(header: Header, begin: int) -> Iterator[tuple[int, int, int, int]]:
     """Yields the number of voxels, the number of bodies, the place and the bytes of each block."""
-    for voxels, count in enumerate(head.counts, 1):
+    for voxels, count in enumerate(header.counts, 1):
         for before in range(0, count, _BLOCK):
             n = min(_BLOCK, count - before)
-            size = _checked_bytes(n, head) + 8
+            size = _checked_bytes(n, header) + 8
             yield voxels, n, begin, size
             begin += size
 
 
-def read_blocks(data: NDArray[np.uint8], head: Head) -> list[Block]:
-    """Returns views of all blocks. Raises `AtlasError` if the head of a block does not match
-    the head of the file."""
+def read_blocks(data: NDArray[np.uint8], header: Header) -> list[Block]:
+    """Returns views of all blocks. Raises `AtlasError` if the header of a block does not match
+    the header of the file."""
     blocks = []
     position = 0
-    for voxels, n, begin, _ in _blocks(head, _begin_of_blocks(head)):
-        if _BLOCK_HEAD.unpack(bytes(data[begin:begin + _BLOCK_HEAD.size])) != (voxels, n, position):
+    for voxels, n, begin, _ in _blocks(header, _begin_of_blocks(header)):
+        keys_at = begin + _BLOCK_HEADER.size
+        if _BLOCK_HEADER.unpack(bytes(data[begin:keys_at])) != (voxels, n, position):
             raise AtlasError(f"a block of the atlas file is damaged: {_REMEDY}")
-        keys_at = begin + _BLOCK_HEAD.size
         scores_at = keys_at + 8 * n
         losses_at = scores_at + _padded(4 * n)
         keys: NDArray[np.uint64] = data[keys_at:scores_at].view("<u8")
         scores: NDArray[np.float32] = data[scores_at:scores_at + 4 * n].view("<f4")
-        losses: NDArray[np.float16] = data[losses_at:losses_at + 2 * n * head.n_environments].view(
-            "<f2").reshape(n, head.n_environments)
-        measures_at = losses_at + _padded(2 * n * head.n_environments)
-        columns = data[measures_at:measures_at + 4 * n * len(head.measures)].view("<f4").reshape(
-            len(head.measures), n)
+        losses_bytes = 2 * n * header.n_environments
+        losses: NDArray[np.float16] = data[losses_at:losses_at + losses_bytes].view(
+            "<f2").reshape(n, header.n_environments)
+        measures_at = losses_at + _padded(losses_bytes)
+        columns = data[measures_at:measures_at + 4 * n * len(header.measures)].view("<f4").reshape(
+            len(header.measures), n)
         blocks.append(Block(voxels, position, keys, scores, losses,
-                            MappingProxyType(dict(zip(head.measures, columns)))))
+                            MappingProxyType(dict(zip(header.measures, columns)))))
         position += n
     return blocks
 
@@ -197,14 +198,15 @@ def _are_wrong(values: NDArray[np.float32]) -> bool:
     return bool((~np.isfinite(values) & (values.view("<u4") != _NO_VALUE)).any())
 
 
-def check_all(data: NDArray[np.uint8], head: Head, blocks: list[Block]) -> None:
+def check_all(data: NDArray[np.uint8], header: Header, blocks: list[Block]) -> None:
     """Checks every byte of a file: checksums, the order of keys, and that values are numbers.
     Raises `AtlasError`."""
-    begin = _begin_of_blocks(head)
-    if hashlib.sha256(bytes(data[head.head_bytes:begin])).hexdigest() != head.environments_sha256:
+    begin = _begin_of_blocks(header)
+    environments = bytes(data[header.header_bytes:begin])
+    if hashlib.sha256(environments).hexdigest() != header.environments_sha256:
         raise AtlasError(f"the environments of the atlas file are damaged: {_REMEDY}")
     last: dict[int, np.uint64] = {}
-    for block, (voxels, _, at, size) in zip(blocks, _blocks(head, begin)):
+    for block, (voxels, _, at, size) in zip(blocks, _blocks(header, begin)):
         raw = bytes(data[at:at + size])
         ascends = bool((block.keys[1:] > block.keys[:-1]).all()) and (
             voxels not in last or bool(block.keys[0] > last[voxels]))

@@ -16,7 +16,7 @@ from ..bodies import Body, BodyLike
 from ..errors import BodyError, counted
 from .forms import Cell, Space, around, is_whole
 from .graph import Basins, Steps, basins_of, steps_of
-from .layout import AtlasError, Block, Head, check_all, read_blocks, read_head
+from .layout import AtlasError, Block, Header, check_all, read_blocks, read_header
 from .pairs import Comparison, compared
 
 if TYPE_CHECKING:
@@ -92,20 +92,20 @@ class Atlas:
     """
 
     def __init__(self, data: NDArray[np.uint8], path: str, check: bool) -> None:
-        head = read_head(data)
+        header = read_header(data)
         self.path = path
-        self.head: Head = head
-        self.workspace = head.workspace
-        self.voxels_max = head.voxels_max
-        self.orientations = head.orientations
-        self.n_environments = head.n_environments
-        self.measures = head.measures
-        self._blocks = read_blocks(data, head)
+        self.header: Header = header
+        self.workspace = header.workspace
+        self.voxels_max = header.voxels_max
+        self.orientations = header.orientations
+        self.n_environments = header.n_environments
+        self.measures = header.measures
+        self._blocks = read_blocks(data, header)
         if check:
-            check_all(data, head, self._blocks)
-        self._space = Space(head.workspace, head.voxels_max)
+            check_all(data, header, self._blocks)
+        self._space = Space(header.workspace, header.voxels_max)
         self._firsts = [0]
-        for count in head.counts:
+        for count in header.counts:
             self._firsts.append(self._firsts[-1] + count)
         # By size: the first key of each block, then the keys and scores of each, as plain numbers.
         of_size = [[block for block in self._blocks if block.voxels == voxels]
@@ -125,8 +125,8 @@ class Atlas:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str], *, check: bool = False) -> Atlas:
-        """Maps a file. Its head and the heads of its blocks are always checked; with `check`, all
-        bytes are: checksums, keys in order, numbers. Raises `AtlasError`, and `OSError`."""
+        """Maps a file. Its header and the headers of its blocks are always checked; with `check`,
+        all bytes are: checksums, keys in order, numbers. Raises `AtlasError`, and `OSError`."""
         name = os.fspath(path)
         if os.path.getsize(name) == 0:
             raise AtlasError("this is not an atlas file: check its name")
@@ -145,7 +145,7 @@ class Atlas:
     @property
     def sizes(self) -> dict[int, int]:
         """How many bodies there are of each number of voxels."""
-        return dict(enumerate(self.head.counts, 1))
+        return dict(enumerate(self.header.counts, 1))
 
     def positions(self, voxels: int | None = None) -> range:
         """The positions of the bodies with this number of voxels, or of all."""
