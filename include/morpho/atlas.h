@@ -118,7 +118,7 @@ int mo_atlas_writer_finish(struct mo_atlas_writer *writer, struct mo_message *me
 struct mo_atlas;
 /* Reads the whole file once, to check it. MO_ERR_NOT_FOUND; MO_ERR_FORMAT: not an atlas;
  * MO_ERR_UNSUPPORTED: a different version or byte order; MO_ERR_CORRUPT: truncated, altered or
- * unsorted; MO_ERR_IO, MO_ERR_NO_MEMORY. */
+ * unsorted; MO_ERR_IO: it cannot be read, or is not a file; MO_ERR_NO_MEMORY. */
 int mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *message);
 void mo_atlas_close(struct mo_atlas *atlas); /* NULL-safe */
 

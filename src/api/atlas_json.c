@@ -21,11 +21,9 @@ void mo_atlas_refuse(struct mo_request *request, const char *name, int error,
                      "%s. DELETE removes it; a PUT of a good file replaces it.",
                      name, message->text);
   else if (error == MO_ERR_IO)
-    mo_reply_problem(
-        request, 500, NULL,
-        "atlases/%s.atlas in the state folder of the service cannot be used: " MO_ATLAS_CANNOT_READ
-        ".",
-        name);
+    mo_reply_problem(request, 500, NULL,
+                     "atlases/%s.atlas in the state folder of the service cannot be used: %s.",
+                     name, message->text);
   else if (error == MO_ERR_NOT_FOUND)
     mo_reply_missing(request, "atlas", name);
   else

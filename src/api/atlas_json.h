@@ -55,7 +55,6 @@ void mo_atlas_member_floats(struct mo_text *text, const char *name, const float 
 /* Describes an atlas for the library: an object that is left open, for "optima". */
 int mo_atlas_write_description(const struct mo_atlas_use *use, const struct mo_atlas_facts *facts,
                                struct mo_text *text);
-#define MO_ATLAS_CANNOT_READ "the file cannot be read: check its owner and its permissions"
 extern const char *const mo_atlas_step_words[]; /* "add", "remove", "move", NULL */
 /* Returns the word of a step. */
 const char *mo_atlas_step_word(enum mo_atlas_step step);

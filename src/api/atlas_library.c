@@ -101,13 +101,12 @@ void mo_atlas_library_free(struct mo_atlas_library *library)
   pthread_cond_destroy(&library->idle);
 }
 
+/* Identifies what is at a path, a file or not: opening it then says what is wrong with it. */
 static int identify(const char *path, struct identity *identity)
 {
   struct stat status;
-  if (stat(path, &status) != 0)
+  if (stat(path, &status) != 0 && lstat(path, &status) != 0) /* a link may lead nowhere */
     return errno == ENOENT ? MO_ERR_NOT_FOUND : mo_open_error();
-  if (!S_ISREG(status.st_mode))
-    return MO_ERR_NOT_FOUND;
   *identity =
       (struct identity){status.st_dev, status.st_ino, status.st_size,
                         (int64_t)status.st_mtim.tv_sec * 1000000000 + status.st_mtim.tv_nsec};

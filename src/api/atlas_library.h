@@ -60,8 +60,8 @@ enum mo_atlas_need { MO_ATLAS_NEED_FILE, MO_ATLAS_NEED_INDEX, MO_ATLAS_NEED_BASI
 
 /* Opens an atlas for a request, with the parts that it needs; basins that are in memory come with
  * every need. The caller releases it. MO_ERR_NOT_FOUND: no such atlas; MO_ERR_FORMAT,
- * MO_ERR_UNSUPPORTED, MO_ERR_CORRUPT: the file is damaged or of a different kind, and message says
- * what to do; MO_ERR_IO, MO_ERR_NO_MEMORY. */
+ * MO_ERR_UNSUPPORTED, MO_ERR_CORRUPT: the file is damaged or of a different kind; MO_ERR_IO: it
+ * cannot be read, or is not a file; then message says what to do. MO_ERR_NO_MEMORY. */
 int mo_atlas_use(struct mo_atlas_library *library, const char *name, enum mo_atlas_need need,
                  struct mo_atlas_use *use, struct mo_message *message);
 void mo_atlas_release(struct mo_atlas_library *library, struct mo_atlas_use *use);

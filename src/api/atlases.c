@@ -1,6 +1,4 @@
 /* atlases.c: lists, describes, sends, stores and deletes atlas files. */
-#include <errno.h>
-#include <fcntl.h>
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -9,6 +7,7 @@
 #include <unistd.h>
 
 #include "api/atlas_json.h"
+#include "atlas/file.h"
 #include "base/files.h"
 #include "http/download.h"
 
@@ -57,10 +56,10 @@ static void note_unreadable(struct mo_api *api, struct mo_text *text, const char
 {
   struct stat status;
   char *path = mo_store_atlas_path(api->store, name);
-  const bool is_there = path != NULL && stat(path, &status) == 0;
+  const bool is_file = path != NULL && stat(path, &status) == 0 && S_ISREG(status.st_mode);
   mo_text_object(text);
   mo_text_member(text, "name", name);
-  mo_text_member_count(text, "bytes", is_there ? (uint64_t)status.st_size : 0);
+  mo_text_member_count(text, "bytes", is_file ? (uint64_t)status.st_size : 0);
   mo_text_member(text, "reason", reason);
   mo_text_add(text, "}");
   free(path);
@@ -83,13 +82,11 @@ void mo_api_list_atlases(struct mo_request *request)
     if (error == MO_OK)
       continue;
     text.size = before > 0 && text.data[before - 1] == ',' ? before - 1 : before;
-    const bool is_damaged =
-        error == MO_ERR_FORMAT || error == MO_ERR_UNSUPPORTED || error == MO_ERR_CORRUPT;
-    const bool is_closed = error == MO_ERR_IO;
-    if (is_damaged || is_closed)
-      note_unreadable(api, &unreadable, names[i].text,
-                      is_damaged ? message.text : MO_ATLAS_CANNOT_READ);
-    if (is_damaged || is_closed || error == MO_ERR_NOT_FOUND) /* it was deleted in the meantime */
+    const bool is_unusable = error == MO_ERR_FORMAT || error == MO_ERR_UNSUPPORTED ||
+                             error == MO_ERR_CORRUPT || error == MO_ERR_IO;
+    if (is_unusable)
+      note_unreadable(api, &unreadable, names[i].text, message.text);
+    if (is_unusable || error == MO_ERR_NOT_FOUND) /* it was deleted in the meantime */
       error = MO_OK;
   }
   mo_text_add(&text, "],\"unreadable\":");
@@ -136,21 +133,13 @@ static bool open_file(struct mo_request *request, int *fd, struct stat *status)
   const char *name = request->parameters[0];
   char *path =
       mo_atlas_name_is_valid(name) ? mo_store_atlas_path(mo_api_of(request)->store, name) : NULL;
-  int error = path != NULL                   ? MO_OK
-              : mo_atlas_name_is_valid(name) ? MO_ERR_NO_MEMORY
-                                             : MO_ERR_NOT_FOUND;
-  if (error == MO_OK) {
-    *fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
-    if (*fd < 0)
-      error = errno == ENOENT ? MO_ERR_NOT_FOUND : mo_open_error();
-    else if (fstat(*fd, status) != 0 || !S_ISREG(status->st_mode))
-      error = MO_ERR_NOT_FOUND;
-    if (error != MO_OK && *fd >= 0)
-      (void)close(*fd);
-  }
+  struct mo_message message = {""};
+  const int error = path != NULL                   ? mo_atlas_file_open(path, fd, status, &message)
+                    : mo_atlas_name_is_valid(name) ? MO_ERR_NO_MEMORY
+                                                   : MO_ERR_NOT_FOUND;
   free(path);
   if (error != MO_OK)
-    mo_atlas_refuse(request, name, error, &(struct mo_message){""});
+    mo_atlas_refuse(request, name, error, &message);
   return error == MO_OK;
 }
 
@@ -215,6 +204,11 @@ void mo_api_delete_atlas(struct mo_request *request)
   const int error = mo_atlas_name_is_valid(name)
                         ? mo_store_atlas_delete(mo_api_of(request)->store, name)
                         : MO_ERR_NOT_FOUND;
+  if (error == MO_ERR_CONFLICT) {
+    mo_reply_problem(request, 409, NULL, "Nothing was deleted: atlases/%s.atlas is %s.", name,
+                     MO_ATLAS_IS_FOLDER);
+    return;
+  }
   if (error != MO_OK) {
     mo_reply_error(request, error, "atlas");
     return;

@@ -176,22 +176,57 @@ static int map(int fd, struct mo_atlas *atlas, struct mo_message *message)
   return MO_OK;
 }
 
+/* Explains why a path cannot be opened as a file; errno: of the attempt. */
+static int fail_to_open(const char *path, struct mo_message *message)
+{
+  const int error = mo_open_error(), reason = errno;
+  struct stat status;
+  if (error == MO_ERR_NO_MEMORY)
+    return mo_fail(message, error, "cannot open the atlas file: %s", strerror(reason));
+  if (stat(path, &status) == 0 && !S_ISREG(status.st_mode))
+    return mo_fail(message, error,
+                   S_ISDIR(status.st_mode)
+                       ? "this is " MO_ATLAS_IS_FOLDER
+                       : "this is a pipe, a socket or a device, not a file: remove it");
+  if (reason != ENOENT)
+    return mo_fail(message, error, "the file cannot be read: check its owner and its permissions");
+  if (lstat(path, &status) == 0)
+    return mo_fail(message, error,
+                   "this is a link to a file that does not exist: remove the link, or restore "
+                   "that file");
+  return mo_fail(message, MO_ERR_NOT_FOUND, "cannot open the atlas file %.150s: %s", path,
+                 strerror(reason));
+}
+
+int mo_atlas_file_open(const char *path, int *ret, struct stat *status, struct mo_message *message)
+{
+  /* O_NONBLOCK: opening a pipe must not wait for a writer. */
+  const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+  if (fd >= 0 && fstat(fd, status) == 0 && S_ISREG(status->st_mode)) {
+    *ret = fd;
+    return MO_OK;
+  }
+  if (fd >= 0) {
+    (void)close(fd);
+    errno = EINVAL; /* it is not a file */
+  }
+  return fail_to_open(path, message);
+}
+
 int mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *message)
 {
   struct mo_atlas *made = calloc(1, sizeof(*made));
+  struct stat status;
+  int fd = -1;
   if (made == NULL)
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-  /* O_NONBLOCK: opening a pipe must not wait for a writer. */
-  const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
-  if (fd < 0) {
-    const int error = errno == ENOENT ? MO_ERR_NOT_FOUND : mo_open_error();
-    free(made);
-    return mo_fail(message, error, "cannot open the atlas file %.150s: %s", path, strerror(errno));
-  }
-  int error = read_all(fd, made, message);
+  int error = mo_atlas_file_open(path, &fd, &status, message);
+  if (error == MO_OK)
+    error = read_all(fd, made, message);
   if (error == MO_OK)
     error = map(fd, made, message);
-  (void)close(fd);
+  if (fd >= 0)
+    (void)close(fd);
   if (error == MO_OK)
     *atlas = made;
   else

@@ -4,6 +4,10 @@
 
 #include "atlas/format.h"
 
+#include <sys/stat.h>
+
+#define MO_ATLAS_IS_FOLDER "a directory, not a file: move it elsewhere"
+
 struct mo_atlas {
   struct mo_atlas_source source;
   struct mo_atlas_layout layout;
@@ -15,6 +19,11 @@ struct mo_atlas {
   uint8_t *mapped;                      /* the file, read-only */
   size_t bytes;
 };
+
+/* Opens a file for reading. MO_ERR_NOT_FOUND; MO_ERR_IO: it cannot be read, or is not a file, and
+ * the message says what it is and what to do; MO_ERR_NO_MEMORY. Never waits, also not for a pipe.
+ */
+int mo_atlas_file_open(const char *path, int *fd, struct stat *status, struct mo_message *message);
 
 /* Checks a header: what it is, its version, its checksum, and that its numbers are within their
  * bounds and match the file's size. MO_ERR_FORMAT, MO_ERR_UNSUPPORTED, MO_ERR_CORRUPT. */

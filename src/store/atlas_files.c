@@ -5,10 +5,9 @@
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
+#include <sys/stat.h>
 
-#include <morpho/atlas.h>
-
+#include "atlas/file.h"
 #include "store/folder.h"
 
 #define ENDING ".atlas"
@@ -105,8 +104,12 @@ int mo_store_atlas_put(struct mo_store *store, const char *name, const void *byt
   char *path = mo_store_atlas_path(store, name);
   if (path == NULL)
     return MO_ERR_NO_MEMORY;
-  *created = access(path, F_OK) != 0;
-  int error = *created ? mo_store_atlas_name_check(store, name, message) : MO_OK;
+  const mode_t type = mo_store_atlas_type(path);
+  *created = type == 0;
+  int error = *created          ? mo_store_atlas_name_check(store, name, message)
+              : type == S_IFDIR ? mo_fail(message, MO_ERR_CONFLICT,
+                                          "atlases/%s.atlas is " MO_ATLAS_IS_FOLDER, name)
+                                : MO_OK;
   if (error == MO_OK)
     error = mo_file_write_checked(store, mo_store_atlases_path(store), path, bytes, size,
                                   check_file, &(struct put){store, name, *created, message});
@@ -119,8 +122,8 @@ int mo_store_atlas_delete(struct mo_store *store, const char *name)
   char *path = mo_store_atlas_path(store, name);
   if (path == NULL)
     return MO_ERR_NO_MEMORY;
-  int error = MO_OK;
-  if (store->files->unlink(path) != 0)
+  int error = mo_store_atlas_type(path) == S_IFDIR ? MO_ERR_CONFLICT : MO_OK;
+  if (error == MO_OK && store->files->unlink(path) != 0)
     error = errno == ENOENT ? MO_ERR_NOT_FOUND : mo_file_error();
   free(path);
   return error == MO_OK ? mo_folder_sync(store, mo_store_atlases_path(store)) : error;

@@ -17,12 +17,14 @@ int mo_store_atlas_names(const struct mo_store *store, struct mo_atlas_name **na
 
 /* Stores a file under a valid name, durably, or replaces the file that has it; processes that have
  * the old file mapped keep it. A file gets its name only after it has been read and checked.
- * *created: the name is new. MO_ERR_CONFLICT: a job is building an atlas of this name;
+ * *created: the name is new. MO_ERR_CONFLICT: a job is building an atlas of this name, or a
+ * directory has it;
  * MO_ERR_FORMAT, MO_ERR_UNSUPPORTED, MO_ERR_CORRUPT: not a whole atlas of the store's workspace.
  * message says why. */
 int mo_store_atlas_put(struct mo_store *store, const char *name, const void *bytes, size_t size,
                        bool *created, struct mo_message *message);
-/* Deletes a file, durably; processes that have it mapped keep it. MO_ERR_NOT_FOUND. */
+/* Deletes a file, durably; processes that have it mapped keep it. MO_ERR_NOT_FOUND;
+ * MO_ERR_CONFLICT: it is a directory. */
 int mo_store_atlas_delete(struct mo_store *store, const char *name);
 
 /* Returns whether an atlas is for the store's workspace; the message says which one it has. */

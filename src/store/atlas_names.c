@@ -6,7 +6,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
+#include <sys/stat.h>
 
 #include "store/atlas_rows.h"
 
@@ -30,6 +30,12 @@ char *mo_store_atlas_path(const struct mo_store *store, const char *name)
   return asprintf(&path, "%s/%s.atlas", store->atlases_path, name) >= 0 ? path : NULL;
 }
 
+mode_t mo_store_atlas_type(const char *path)
+{
+  struct stat status;
+  return lstat(path, &status) == 0 ? status.st_mode & S_IFMT : 0;
+}
+
 /* ---- names that are taken ---- */
 
 int mo_atlas_builder(struct mo_connection *connection, const char *name, int64_t *id)
@@ -48,7 +54,7 @@ int mo_atlas_name_find(const struct mo_store *store, struct mo_connection *conne
 {
   int64_t id = 0;
   char *path = mo_store_atlas_path(store, name);
-  const bool is_there = path != NULL && access(path, F_OK) == 0;
+  const bool is_there = path != NULL && mo_store_atlas_type(path) != 0;
   const int error = path != NULL ? mo_atlas_builder(connection, name, &id) : MO_ERR_NO_MEMORY;
   free(path);
   if (error != MO_OK)

@@ -4,6 +4,7 @@
 #define MORPHO_STORE_ATLAS_NAMES_H
 
 #include <stdbool.h>
+#include <sys/types.h>
 
 #include <morpho/error.h>
 
@@ -20,6 +21,8 @@ bool mo_atlas_name_is_valid(const char *name);
 const char *mo_store_atlases_path(const struct mo_store *store);
 /* Returns the path of an atlas with a valid name (malloc), or NULL if memory runs out. */
 char *mo_store_atlas_path(const struct mo_store *store, const char *name);
+/* Returns the type of what is at a path, as of stat, without following links; 0: nothing. */
+mode_t mo_store_atlas_type(const char *path);
 
 /* MO_ERR_CONFLICT: an atlas has this name, or a job that has not ended, or that failed and can be
  * resumed, builds it; message (nullable) says which, and what to do. Errors as in store.h. */

@@ -86,6 +86,7 @@ static int open_named(struct mo_store *store, const char *name, struct mo_atlas 
   case MO_ERR_FORMAT:
   case MO_ERR_UNSUPPORTED:
   case MO_ERR_CORRUPT:
+  case MO_ERR_IO:
     return mo_fail(message, MO_ERR_CONFLICT, "the atlas \"%.64s\" cannot be used: %s", name,
                    reason.text);
   default: return error;

@@ -9,6 +9,7 @@ import os
 import pathlib
 import random
 import re
+import socket
 import struct
 
 import pytest
@@ -349,19 +350,72 @@ def mapped(service):
     return {pathlib.Path(line.split()[5]).name for line in lines if ".atlas" in line}
 
 
-def test_files_that_cannot_be_read(start):
-    """They are listed, and do not hide the others."""
+def make_socket(path):
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(os.path.relpath(path))  # a path of a socket must be short
+
+
+def make_unreadable(path):
+    path.touch(0o000)
+    if os.geteuid() == 0:  # may read everything
+        path.unlink()
+        path.symlink_to(path.name)
+
+
+# What to make, and what is said about it.
+ODD = {
+    "directory": (pathlib.Path.mkdir, "is a directory, not a file: move it elsewhere"),
+    "pipe": (os.mkfifo, "is a pipe, a socket or a device, not a file: remove it"),
+    "socket": (make_socket, "is a pipe, a socket or a device, not a file: remove it"),
+    "device": (lambda path: path.symlink_to("/dev/zero"), "a device, not a file: remove it"),
+    "dangling": (lambda path: path.symlink_to("nothing"), "is a link to a file that does not"),
+    "unreadable": (make_unreadable, "cannot be read: check its owner and its permissions"),
+    "empty": (pathlib.Path.touch, "is not an atlas file: check its name"),
+    "later": (lambda path: path.write_bytes(file_of()[:20] + b"\x09" + file_of()[21:]),
+              "has version 9; this program reads versions 1 and 2"),
+}
+
+
+def test_entries_that_are_no_atlases(start):
+    """Each is listed with what it is, and hides no other; nothing waits for a pipe. A good file
+    replaces all but a directory, and so does deletion."""
     service = start()
     folder = service.state / "atlases"
     write(folder / "a.atlas", seed=1)
-    (folder / "b.atlas").symlink_to("b.atlas")  # is there, and cannot be read, also not by root
+    for name, (make, _) in ODD.items():
+        make(folder / f"{name}.atlas")
     listed = service.get("/v1/atlases")
     assert [item["name"] for item in listed["items"]] == ["a"]
-    assert [item["name"] for item in listed["unreadable"]] == ["b"]
-    assert "check its owner" in listed["unreadable"][0]["reason"]
-    for path in ("b", "b/body?position=1", "b/file"):
-        reply = service.request("GET", f"/v1/atlases/{path}")
-        assert reply.status == 500 and "check its owner" in reply.json()["detail"], path
+    assert [item["name"] for item in listed["unreadable"]] == sorted(ODD)
+    for item in listed["unreadable"]:
+        assert ODD[item["name"]][1] in item["reason"], item
+        assert item["bytes"] == (len(file_of()) if item["name"] == "later" else 0)
+    for name, (make, words) in ODD.items():
+        path = folder / f"{name}.atlas"
+        for below in ("", "/body?position=1", "/optima", *([] if path.is_file() else ["/file"])):
+            reply = service.request("GET", f"/v1/atlases/{name}{below}")
+            assert reply.status == 500 and words in reply.json()["detail"], (name, reply.body)
+        reply = service.request("GET", f"/v1/atlases/a/compare?with={name}")
+        assert reply.status == 500 and words in reply.json()["detail"]
+        reply = service.request("POST", "/v1/trainings", {
+            "kind": "finetune", "population": {"atlas": name, "count": 2}})
+        assert reply.status == 409 and words in reply.json()["detail"], reply.body
+        reply = service.request("POST", "/v1/atlases", {"voxels": 1, "name": name})
+        assert reply.status == 409 and "already exists" in reply.json()["detail"], reply.body
+        if name == "directory":
+            for reply in (put(service, name, file_of()),
+                          service.request("DELETE", f"/v1/atlases/{name}")):
+                assert reply.status == 409 and words in reply.json()["detail"], reply.body
+            path.rmdir()
+            service.refuses(f"/v1/atlases/{name}", "", status=404)
+            continue
+        assert put(service, name, file_of()).status == 200
+        assert service.get(f"/v1/atlases/{name}/body?position=1")["position"] == 1
+        path.unlink()
+        make(path)
+        assert service.request("DELETE", f"/v1/atlases/{name}").status == 204
+        assert not path.is_symlink() and not path.exists()
+    assert service.get("/v1/atlases")["unreadable"] == []
 
 
 def test_deleted_files_are_closed(start):

@@ -81,7 +81,7 @@ function showList(main, { name, items, unreadable, jobs: open }, app) {
     job.atlas.name === name), ({ id }) => id, () => buildCard(refresh),
   (card, job) => card.show(job));
   const showAll = (atlases, faulty) => fill(list, tableOf(atlases), faulty.map((one) =>
-    h('p.error', {}, `${one.name} cannot be read: ${one.reason}`)));
+    h('p.error', {}, `${one.name} cannot be used: ${one.reason}`)));
 
   async function refresh() {
     clearTimeout(timer);

@@ -402,8 +402,14 @@ static void other_files(void)
   CHECK_INT(mo_atlas_open(path, &atlas, &message), MO_ERR_NOT_FOUND);
   CHECK_SAYS(message, "No such file");
   CHECK_INT(mo_atlas_open(folder, &atlas, &message), MO_ERR_IO);
+  CHECK_SAYS(message, "a directory");
   CHECK_OK(mkfifo(path, 0600));
-  CHECK(mo_atlas_open(path, &atlas, &message) != MO_OK);
+  CHECK_INT(mo_atlas_open(path, &atlas, &message), MO_ERR_IO);
+  CHECK_SAYS(message, "a pipe");
+  CHECK_OK(unlink(path));
+  CHECK_OK(symlink("nothing", path));
+  CHECK_INT(mo_atlas_open(path, &atlas, &message), MO_ERR_IO);
+  CHECK_SAYS(message, "a link to a file that does not exist");
 }
 
 /* ---- losses in 16 bits ---- */
