@@ -113,13 +113,18 @@ int mo_atlas_writer_save(struct mo_atlas_writer *writer);
  * an error, PATH may be the complete file, but its name may not survive a power failure. */
 int mo_atlas_writer_finish(struct mo_atlas_writer *writer, struct mo_message *message);
 
-/* A file, mapped read-only. Const after it is opened: any number of threads may use it. It must not
- * be changed as long as it is open. */
+/* A file, mapped read-only. Const after it is opened: any number of threads may use it. The file
+ * must not be changed as long as it is open, unless a copy is mapped. */
 struct mo_atlas;
 /* Reads the whole file once, to check it. MO_ERR_NOT_FOUND; MO_ERR_FORMAT: not an atlas;
  * MO_ERR_UNSUPPORTED: a different version or byte order; MO_ERR_CORRUPT: truncated, altered or
  * unsorted; MO_ERR_IO: it cannot be read, or is not a file; MO_ERR_NO_MEMORY. */
 int mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *message);
+/* The same, but maps a copy of the file without a name, in a folder: the file may then be changed
+ * or truncated, which otherwise ends the process (SIGBUS). If the copy cannot be made, for example
+ * for lack of space, or if the folder is NULL, the file itself is mapped. */
+int mo_atlas_open_copy(const char *path, const char *folder, struct mo_atlas **atlas,
+                       struct mo_message *message);
 void mo_atlas_close(struct mo_atlas *atlas); /* NULL-safe */
 
 const struct mo_atlas_source *mo_atlas_source_of(const struct mo_atlas *atlas);

@@ -281,12 +281,7 @@ static int ensure_open(struct mo_atlas_library *library, struct mo_atlas_entry *
   }
   limit_files(library, 1);
   begin_work(library, entry);
-  int error = mo_atlas_open(path, &made, message);
-  if (error == MO_OK && !mo_atlas_is_of_store(made, message)) {
-    mo_atlas_close(made);
-    made = NULL;
-    error = MO_ERR_UNSUPPORTED;
-  }
+  const int error = mo_store_atlas_open(library->store, path, &made, message);
   end_work(library, entry);
   entry->atlas = made;
   if (is_of_content(error)) {

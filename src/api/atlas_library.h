@@ -1,11 +1,12 @@
 /* atlas_library.h: the atlas files that are open, and what is in memory about them.
  *
- * A file is opened, and checked as a whole, when a request first needs it, and stays mapped. The
- * index (ranks) and the basins of a file take 8 bytes per body each, and are made when they are
- * first needed. At most MO_ATLAS_FILES_OPEN files are open and MO_ATLAS_MEMORY bytes used: the
- * least recently used parts are freed first. What a request uses stays until it is released, even
- * if the file is deleted or replaced in the meantime; so these limits are briefly exceeded if many
- * requests use many files. Without atlases, nothing is allocated. */
+ * A file is opened, and checked as a whole, when a request first needs it, and stays mapped: as a
+ * copy, so that changes of the file do not reach requests that use it. The index (ranks) and the
+ * basins of a file take 8 bytes per body each, and are made when they are first needed. At most
+ * MO_ATLAS_FILES_OPEN files are open and MO_ATLAS_MEMORY bytes used: the least recently used parts
+ * are freed first. What a request uses stays until it is released, even if the file is deleted or
+ * replaced in the meantime; so these limits are briefly exceeded if many requests use many files.
+ * Without atlases, nothing is allocated. */
 #ifndef MORPHO_API_ATLAS_LIBRARY_H
 #define MORPHO_API_ATLAS_LIBRARY_H
 

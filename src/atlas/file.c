@@ -11,13 +11,17 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <linux/fs.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/ioctl.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
-#define REMEDY "remove it and write the atlas again"
+#define PIECE_BYTES ((size_t)256 << 10)
+#define REMEDY      "remove it and write the atlas again"
 
 const char *const mo_atlas_orientation_words[] = {"canonical", "images", NULL};
 
@@ -133,18 +137,23 @@ static int read_blocks(int fd, struct mo_atlas *atlas)
   return error;
 }
 
-static int read_all(int fd, struct mo_atlas *atlas, struct mo_message *message)
+static int read_header(int fd, struct mo_atlas_header *header, size_t *bytes,
+                       struct mo_message *message)
 {
-  struct mo_atlas_header header = {.version = 0};
   struct stat status;
   if (fstat(fd, &status) != 0)
     return fail_to_read(MO_ERR_IO, message);
-  atlas->bytes = (size_t)status.st_size;
-  int error = mo_file_read_at(fd, 0, atlas->bytes < sizeof(header) ? atlas->bytes : sizeof(header),
-                              &header);
-  if (error != MO_OK)
-    return fail_to_read(error, message);
-  error = mo_atlas_header_check(&header, atlas->bytes, message);
+  *bytes = (size_t)status.st_size;
+  const int error =
+      mo_file_read_at(fd, 0, *bytes < sizeof(*header) ? *bytes : sizeof(*header), header);
+  return error == MO_OK ? mo_atlas_header_check(header, *bytes, message)
+                        : fail_to_read(error, message);
+}
+
+static int read_all(int fd, struct mo_atlas *atlas, struct mo_message *message)
+{
+  struct mo_atlas_header header = {.version = 0};
+  int error = read_header(fd, &header, &atlas->bytes, message);
   if (error != MO_OK)
     return error;
   atlas->source =
@@ -213,7 +222,55 @@ int mo_atlas_file_open(const char *path, int *ret, struct stat *status, struct m
   return fail_to_open(path, message);
 }
 
+/* Makes a file without a name in a folder. Returns −1 if it cannot. */
+static int make_nameless(const char *folder)
+{
+  char *path;
+  if (asprintf(&path, "%s/.tmp-XXXXXX", folder) < 0)
+    return -1;
+  const int fd = mkostemp(path, O_CLOEXEC);
+  if (fd >= 0)
+    (void)unlink(path);
+  free(path);
+  return fd;
+}
+
+static bool copy_all(int from, int to, size_t bytes)
+{
+  uint8_t *piece = malloc(PIECE_BYTES);
+  bool is_well = piece != NULL;
+  for (size_t at = 0; is_well && at < bytes;) {
+    const size_t left = bytes - at, n = left < PIECE_BYTES ? left : PIECE_BYTES;
+    is_well = mo_file_read_at(from, at, n, piece) == MO_OK;
+    const ssize_t written = is_well ? pwrite(to, piece, n, (off_t)at) : -1;
+    is_well = written > 0 || (is_well && written < 0 && errno == EINTR);
+    at += written > 0 ? (size_t)written : 0;
+  }
+  free(piece);
+  return is_well;
+}
+
+/* Replaces an atlas file by a copy without a name, if its header is sound, which bounds its size,
+ * and if there is space. Where the file system can, the copy shares the bytes. */
+static void use_copy(int *fd, const char *folder)
+{
+  struct mo_atlas_header header = {.version = 0};
+  size_t bytes = 0;
+  const int copy = read_header(*fd, &header, &bytes, NULL) == MO_OK ? make_nameless(folder) : -1;
+  if (copy < 0)
+    return;
+  const bool is_copied = ioctl(copy, FICLONE, *fd) == 0 || copy_all(*fd, copy, bytes);
+  (void)close(is_copied ? *fd : copy);
+  *fd = is_copied ? copy : *fd;
+}
+
 int mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *message)
+{
+  return mo_atlas_open_copy(path, NULL, atlas, message);
+}
+
+int mo_atlas_open_copy(const char *path, const char *folder, struct mo_atlas **atlas,
+                       struct mo_message *message)
 {
   struct mo_atlas *made = calloc(1, sizeof(*made));
   struct stat status;
@@ -221,6 +278,8 @@ int mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *
   if (made == NULL)
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
   int error = mo_atlas_file_open(path, &fd, &status, message);
+  if (error == MO_OK && folder != NULL)
+    use_copy(&fd, folder);
   if (error == MO_OK)
     error = read_all(fd, made, message);
   if (error == MO_OK)

@@ -119,18 +119,20 @@ static void advance(struct run *run, double rollouts_per_s)
 static int adopt(struct run *run)
 {
   struct mo_atlas_record *record = &run->status.record;
-  struct mo_message message = {.text = ""};
+  struct mo_message message = {.text = ""}, reason = {.text = ""};
   struct mo_atlas *atlas = NULL;
   bool is_own = false;
   char *path = mo_store_atlas_path(run->jobs->store, record->name);
   if (path == NULL)
     return MO_ERR_NO_MEMORY;
-  int error = mo_atlas_open(path, &atlas, &message);
+  int error = mo_atlas_open(path, &atlas, &reason);
   free(path);
   if (error == MO_ERR_NOT_FOUND || error == MO_ERR_NO_MEMORY)
     return error;
-  if (error == MO_ERR_IO)
+  if (error == MO_ERR_IO) {
+    (void)mo_fail(&message, error, "the file of the atlas cannot be used: %.200s", reason.text);
     return mo_runner_fail(run->runner, error, message.text);
+  }
   if (error == MO_OK)
     error = mo_atlas_is_of(atlas, &run->source, run->environments, run->n_environments, &is_own);
   else

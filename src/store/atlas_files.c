@@ -61,20 +61,35 @@ int mo_store_atlas_names(const struct mo_store *store, struct mo_atlas_name **re
   return MO_OK;
 }
 
-/* ---- changes ---- */
+/* ---- opening ---- */
 
-bool mo_atlas_is_of_store(const struct mo_atlas *atlas, struct mo_message *message)
+/* Opens a file with the store's workspace. folder: of a copy (nullable). */
+static int open_own(const char *path, const char *folder, struct mo_atlas **atlas,
+                    struct mo_message *message)
 {
+  const int error = mo_atlas_open_copy(path, folder, atlas, message);
+  if (error != MO_OK)
+    return error;
   const struct mo_workspace own = MO_STORE_WORKSPACE,
-                            its = mo_atlas_source_of(atlas)->scope.workspace;
+                            its = mo_atlas_source_of(*atlas)->scope.workspace;
   if (mo_workspace_equal(own, its))
-    return true;
-  (void)mo_fail(message, MO_ERR_UNSUPPORTED,
-                "the atlas is for a workspace of %u × %u × %u voxels, but this service has "
-                "%u × %u × %u; read the file with the Python package",
-                its.nx, its.ny, its.nz, own.nx, own.ny, own.nz);
-  return false;
+    return MO_OK;
+  mo_atlas_close(*atlas);
+  *atlas = NULL;
+  return mo_fail(message, MO_ERR_UNSUPPORTED,
+                 "the atlas is for a workspace of %u × %u × %u voxels, but this service has "
+                 "%u × %u × %u; read the file with the Python package",
+                 its.nx, its.ny, its.nz, own.nx, own.ny, own.nz);
 }
+
+int mo_store_atlas_open(const struct mo_store *store, const char *path, struct mo_atlas **atlas,
+                        struct mo_message *message)
+{
+  return open_own(path, atomic_load(&store->is_short) ? NULL : mo_store_atlases_path(store), atlas,
+                  message);
+}
+
+/* ---- changes ---- */
 
 struct put {
   struct mo_store *store;
@@ -90,9 +105,7 @@ static int check_file(void *context, const char *path)
   const struct put *put = context;
   struct mo_message *message = put->message;
   struct mo_atlas *atlas = NULL;
-  int error = mo_atlas_open(path, &atlas, message);
-  if (error == MO_OK && !mo_atlas_is_of_store(atlas, message))
-    error = MO_ERR_UNSUPPORTED;
+  const int error = open_own(path, NULL, &atlas, message);
   mo_atlas_close(atlas);
   return error == MO_OK && put->is_new ? mo_store_atlas_name_check(put->store, put->name, message)
                                        : error;

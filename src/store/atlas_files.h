@@ -27,8 +27,10 @@ int mo_store_atlas_put(struct mo_store *store, const char *name, const void *byt
  * MO_ERR_CONFLICT: it is a directory. */
 int mo_store_atlas_delete(struct mo_store *store, const char *name);
 
-/* Returns whether an atlas is for the store's workspace; the message says which one it has. */
+/* Opens a file of the folder, which may then change: a copy is mapped (mo_atlas_open_copy), unless
+ * disk space is short. Errors of mo_atlas_open; MO_ERR_UNSUPPORTED also: a different workspace. */
 struct mo_atlas;
-bool mo_atlas_is_of_store(const struct mo_atlas *atlas, struct mo_message *message);
+int mo_store_atlas_open(const struct mo_store *store, const char *path, struct mo_atlas **atlas,
+                        struct mo_message *message);
 
 #endif

@@ -77,10 +77,8 @@ static int open_named(struct mo_store *store, const char *name, struct mo_atlas 
   char *path = is_name ? mo_store_atlas_path(store, name) : NULL;
   if (is_name && path == NULL)
     return MO_ERR_NO_MEMORY;
-  int error = is_name ? mo_atlas_open(path, atlas, &reason) : MO_ERR_NOT_FOUND;
+  const int error = is_name ? mo_store_atlas_open(store, path, atlas, &reason) : MO_ERR_NOT_FOUND;
   free(path);
-  if (error == MO_OK && !mo_atlas_is_of_store(*atlas, &reason))
-    error = MO_ERR_UNSUPPORTED;
   switch (error) {
   case MO_ERR_NOT_FOUND: return explain(store, name, message);
   case MO_ERR_FORMAT:

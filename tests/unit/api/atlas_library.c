@@ -1,5 +1,5 @@
 /* atlas_library.c: while a file is being opened, only the requests for that file wait. The linker
- * replaces mo_atlas_open, so that files named slow open when the test lets them. */
+ * replaces mo_store_atlas_open, so that files named slow open when the test lets them. */
 #include <pthread.h>
 #include <semaphore.h>
 #include <stdatomic.h>
@@ -14,11 +14,14 @@ static struct mo_atlas_library library;
 static atomic_int n_opened; /* slow files */
 static sem_t entered, gate;
 
-int __real_mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *message);
-int __wrap_mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *message);
-int __wrap_mo_atlas_open(const char *path, struct mo_atlas **atlas, struct mo_message *message)
+int __real_mo_store_atlas_open(const struct mo_store *of, const char *path, struct mo_atlas **atlas,
+                               struct mo_message *message);
+int __wrap_mo_store_atlas_open(const struct mo_store *of, const char *path, struct mo_atlas **atlas,
+                               struct mo_message *message);
+int __wrap_mo_store_atlas_open(const struct mo_store *of, const char *path, struct mo_atlas **atlas,
+                               struct mo_message *message)
 {
-  const int error = __real_mo_atlas_open(path, atlas, message);
+  const int error = __real_mo_store_atlas_open(of, path, atlas, message);
   if (strstr(path, "slow") != NULL) {
     atomic_fetch_add(&n_opened, 1);
     sem_post(&entered);

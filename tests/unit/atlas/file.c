@@ -412,6 +412,48 @@ static void other_files(void)
   CHECK_SAYS(message, "a link to a file that does not exist");
 }
 
+/* A copy is mapped, so the file may become empty, which otherwise ends the process. */
+static void file_that_changes(void)
+{
+  const struct mo_atlas_source source = fixture_source(6);
+  struct mo_environment environments[MO_PAPER_TEST_COUNT];
+  struct mo_atlas *atlas = NULL;
+  const char *folder = fixture_folder();
+  char path[FIXTURE_PATH];
+  uint64_t form[MO_DEFAULT_WORDS], position = 0;
+  uint8_t before[32], after[32];
+  mo_environment_paper_test(environments);
+  snprintf(path, sizeof(path), "%s/a.atlas", folder);
+  REQUIRE_OK(fixture_write(&mo_system_files, path, &source, environments, 3, 1000, NULL));
+  REQUIRE_OK(mo_atlas_open_copy(path, folder, &atlas, NULL));
+  mo_atlas_hash(atlas, before);
+  CHECK_OK(truncate(path, 0));
+  mo_atlas_hash(atlas, after);
+  CHECK(SAME(before, after, sizeof(before)));
+  (void)mo_atlas_form(atlas, 500, form);
+  CHECK_OK(mo_atlas_find(atlas, form, &position));
+  CHECK_INT(position, 500);
+  mo_atlas_close(atlas);
+  CHECK_INT(mo_atlas_open_copy(path, folder, &atlas, NULL), MO_ERR_FORMAT);
+  CHECK_OK(unlink(path));
+  CHECK_INT(rmdir(folder), 0); /* the copy has no name */
+}
+
+/* Without a folder for the copy, the file itself is mapped. */
+static void no_copy(void)
+{
+  const struct mo_atlas_source source = fixture_source(4);
+  struct mo_environment environments[MO_PAPER_TEST_COUNT];
+  struct mo_atlas *atlas = NULL;
+  char path[FIXTURE_PATH];
+  mo_environment_paper_test(environments);
+  snprintf(path, sizeof(path), "%s/a.atlas", fixture_folder());
+  REQUIRE_OK(fixture_write(&mo_system_files, path, &source, environments, 3, 1000, NULL));
+  CHECK_OK(mo_atlas_open_copy(path, "/nowhere", &atlas, NULL));
+  CHECK_INT(mo_atlas_bodies_of(atlas), 29);
+  mo_atlas_close(atlas);
+}
+
 /* ---- losses in 16 bits ---- */
 
 static void losses(void)
@@ -452,6 +494,8 @@ static const struct check_case cases[] = {
     {"blocks with wrong numbers", blocks_that_lie},
     {"measures with wrong numbers", measures_that_lie},
     {"things that are not atlas files", other_files},
+    {"a file that changes while its copy is mapped", file_that_changes},
+    {"no place for a copy", no_copy},
     {"losses in 16 bits", losses},
 };
 CHECK_MAIN(cases)
