@@ -59,17 +59,17 @@ static const struct option_spec atlas_build_options[] = {
      "A task of the suite morpho-12, such as walk, in its ten selection worlds.", "task"},
     {ENVIRONMENTS},
     {"orientations", 0, "images|canonical",
-     "images: a score is the mean over the distinct images of a body, at most eight (default). "
-     "canonical: that of its canonical form, in an eighth of the time.",
+     "images: score all distinct images of a body, at most eight, and store the mean (default). "
+     "canonical: score only its canonical form, in about an eighth of the time.",
      "orientations"},
     {"measures", 0, "LIST",
-     "Measures of the bodies: all, or names separated by commas, such as "
-     "displacement_m,mean_speed_m_per_s. The file grows by 4 bytes per body and measure."},
+     "Measures to store: all, or names separated by commas, such as "
+     "displacement_m,mean_speed_m_per_s. Each adds 4 bytes per body to the file."},
     {"name", 0, "NAME",
      "Name of the atlas (default: the task and the number of voxels, such as walk-10).", "name"},
     {CONTROLLER},
     {PHYSICS},
-    {"wait", 'w', NULL, "Wait until it is built, and print its name."},
+    {"wait", 'w', NULL, "Wait until the atlas is built, and print its name."},
     {WEIGHT},
     {DEVICE},
     {LABEL},
@@ -79,51 +79,53 @@ static const struct option_spec atlas_build_options[] = {
 
 /* clang-format off */
 #define ATLAS_COMMANDS \
-  {"atlas build", "", "Score all bodies of at most N voxels, as one file.", run_atlas_build, \
+  {"atlas build", "", "Score all bodies of at most N voxels, and store the scores in a file.", \
+   run_atlas_build, \
    "There are 1,057,222 bodies of at most 10 voxels. The build is a job of the server, which " \
    "continues without morphoctl and after a crash; job pause, resume and cancel control it. " \
    "Without --wait, prints the id of the job.", \
    atlas_build_options}, \
-  {"atlas list", "", "List the atlases of the server.", run_atlas_list}, \
+  {"atlas list", "", "List the atlases on the server.", run_atlas_list}, \
   {"atlas show", "NAME", "Show an atlas, with the best body of each size.", run_atlas_show}, \
   {"atlas body", "NAME [DESIGN]", "Show how a body ranks among all bodies.", run_atlas_body, \
-   "Its score, rank and percentile, and the best bodies one step away. DESIGN is one design, " \
-   "given as for eval.", \
+   "Shows its score, rank and percentile, its measures if the atlas has any, and the best bodies " \
+   "one step away. DESIGN is one design, given as for eval.", \
    atlas_body_options}, \
   {"atlas neighbors", "NAME [DESIGN]", "List the bodies one step away from a body.", \
-   run_atlas_neighbors, "Best first.", atlas_steps_options}, \
+   run_atlas_neighbors, "Lists them best first.", atlas_steps_options}, \
   {"atlas ascent", "NAME [DESIGN]", "Follow the best changes to a local optimum.", \
    run_atlas_ascent, NULL, atlas_steps_options}, \
-  {"atlas similar", "NAME [DESIGN]", "List bodies that differ by one or two voxels.", \
-   run_atlas_similar, "Each step adds or removes a voxel; best first.", \
+  {"atlas similar", "NAME [DESIGN]", "List the bodies one or two steps away from a body.", \
+   run_atlas_similar, "A step adds or removes a voxel. Lists them best first.", \
    atlas_similar_options}, \
   {"atlas best", "NAME", "List the best bodies.", run_atlas_best, \
-   "Of all sizes or of one; with --lo and --hi, those in a range of scores. With --measure, the " \
+   "Of all sizes, or of one (--voxels). --lo and --hi limit the score. With --measure, lists the " \
    "bodies with the highest values; --lo and --hi then limit the value, and --score-lo and " \
-   "--score-hi the score, as a drag over the map of both does on the dashboard.", \
+   "--score-hi the score.", \
    atlas_best_options}, \
   {"atlas optima", "NAME", "List the local optima with the largest basins.", run_atlas_optima, \
    "The basin of an optimum is the number of bodies whose steepest ascent by adding and removing " \
-   "voxels ends at it. The first call takes a few seconds.", \
+   "voxels ends at it. The first call computes all basins, which takes a few seconds.", \
    atlas_optima_options}, \
   {"atlas histogram", "NAME", "Show the distribution of the scores or of a measure.", \
    run_atlas_histogram, NULL, \
    atlas_histogram_options}, \
-  {"atlas map", "NAME MEASURE", "Show the scores and a measure of all bodies.", run_atlas_map, \
-   "A map of both, with the score downward and the measure to the right, and their rank " \
-   "correlation (Kendall's tau-b).", \
+  {"atlas map", "NAME MEASURE", "Show how a measure relates to the score.", run_atlas_map, \
+   "Prints a map of all bodies, with the score downward and the measure to the right, and the " \
+   "rank correlation of both (Kendall's tau-b).", \
    atlas_map_options}, \
   {"atlas compare", "A B", "Compare the scores of the same bodies in two atlases.", \
    run_atlas_compare, \
-   "Kendall's rank correlation (tau-b) over all bodies in both, and a map of both scores, " \
-   "with A downward and B to the right.", \
+   "Prints Kendall's rank correlation (tau-b) over the bodies in both, and a map of their " \
+   "scores, with A downward and B to the right.", \
    atlas_compare_options}, \
   {"atlas download", "NAME", "Download an atlas file.", run_atlas_download, \
    "The Python package reads it without a server.", atlas_download_options}, \
   {"atlas upload", "NAME FILE", "Store a file as an atlas.", run_atlas_upload, \
-   "The server checks all of it first. An atlas with this name is replaced. - is standard " \
-   "input."}, \
-  {"atlas delete", "NAME", "Delete an atlas.", run_atlas_delete, "It cannot be restored."}
+   "The server checks the whole file first. An existing atlas with this name is replaced. As " \
+   "FILE, - is standard input."}, \
+  {"atlas delete", "NAME", "Delete an atlas.", run_atlas_delete, \
+   "A deleted atlas cannot be restored."}
 /* clang-format on */
 
 #endif

@@ -46,8 +46,8 @@ static void print_body(const struct ctl *ctl, const json_t *body)
       {"score", "[{score:.4f}|diverged]"},
       {"value", "[{value:.4g} {unit}]"},
       {"rank", "{rank:,}, better than {percentile:.2f} % of the others"},
-      {"of its size",
-       "{of_size.rank:,} of {of_size.bodies:,}, better than {of_size.percentile:.2f} %"},
+      {"of its size", "{of_size.rank:,} of {of_size.bodies:,}, better than "
+                      "{of_size.percentile:.2f} % of the others"},
       {"best of size", "{best_of_size.id}, score [{best_of_size.score:.4f}|diverged]"},
       {"ascent ends at", "[{optimum.id}, score {optimum.score:.4f}]"},
       {"basin", "[{basin>0:,} [{basin=1}body|bodies]]"},
