@@ -235,19 +235,24 @@ static int make_nameless(const char *folder)
   return fd;
 }
 
+/* Copies a file. Of a file that is being truncated, the copy is too short, and fails the checks. */
 static bool copy_all(int from, int to, size_t bytes)
 {
   uint8_t *piece = malloc(PIECE_BYTES);
-  bool is_well = piece != NULL;
-  for (size_t at = 0; is_well && at < bytes;) {
+  int error = piece != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  for (size_t at = 0; error == MO_OK && at < bytes;) {
     const size_t left = bytes - at, n = left < PIECE_BYTES ? left : PIECE_BYTES;
-    is_well = mo_file_read_at(from, at, n, piece) == MO_OK;
-    const ssize_t written = is_well ? pwrite(to, piece, n, (off_t)at) : -1;
-    is_well = written > 0 || (is_well && written < 0 && errno == EINTR);
-    at += written > 0 ? (size_t)written : 0;
+    error = mo_file_read_at(from, at, n, piece);
+    if (error != MO_OK)
+      break;
+    const ssize_t written = pwrite(to, piece, n, (off_t)at);
+    if (written > 0)
+      at += (size_t)written;
+    else if (written == 0 || errno != EINTR)
+      error = MO_ERR_NO_SPACE;
   }
   free(piece);
-  return is_well;
+  return error == MO_OK || error == MO_ERR_CORRUPT;
 }
 
 /* Replaces an atlas file by a copy without a name, if its header is sound, which bounds its size,
