@@ -4,7 +4,7 @@
  * most that many voxels that fit the workspace, each once, in a fixed order: by size, and then by
  * id, largest first. A body's place in this order, from 0, is its position. In the workspace of 6 ×
  * 6 × 4 voxels there are 1, 2, 5, 21, 95, 530, 3168, 20313, 133961 and 899126 bodies of 1 to 10
- * voxels. docs/atlas.md has the file format and the definitions of all queries.
+ * voxels. docs/atlas.md describes the file format and defines all queries.
  *
  * Forms are words of the scope's workspace (morphospace.h). Scores are mean losses: lower is
  * better. */
@@ -33,7 +33,7 @@ struct mo_atlas_scope {
   struct mo_workspace workspace; /* at most MO_ATLAS_WORKSPACE_MAX voxels */
   uint32_t voxels_max;           /* 1 … MO_ATLAS_VOXELS_MAX */
 };
-/* MO_ERR_RANGE or MO_ERR_LIMIT; message (nullable) says what to do. */
+/* MO_ERR_RANGE or MO_ERR_LIMIT; message (nullable) says what to change. */
 int mo_atlas_scope_check(const struct mo_atlas_scope *scope, struct mo_message *message);
 
 /* ---- all bodies ---- */
@@ -47,7 +47,7 @@ int mo_atlas_bodies_create(const struct mo_atlas_scope *scope, struct mo_atlas_b
 void mo_atlas_bodies_free(struct mo_atlas_bodies *bodies); /* NULL-safe */
 /* Writes the next form. MO_ERR_EXHAUSTED after the last; MO_ERR_NO_MEMORY. */
 int mo_atlas_bodies_next(struct mo_atlas_bodies *bodies, uint64_t *form);
-/* Moves to a position; the position after the last body is allowed. MO_ERR_RANGE: beyond that;
+/* Moves to a position, which may be the one after the last body. MO_ERR_RANGE: beyond that;
  * MO_ERR_NO_MEMORY: the stream has not moved. */
 int mo_atlas_bodies_seek(struct mo_atlas_bodies *bodies, uint64_t position);
 /* Counts the bodies of 1, 2, … voxels; 0 for sizes above the scope's. Finds all of them if they
@@ -68,7 +68,7 @@ uint32_t mo_atlas_designs(const struct mo_atlas_scope *scope, const uint64_t *fo
                           enum mo_atlas_orientations orientations,
                           struct mo_bits designs[MO_ORIENTATIONS]);
 
-/* What the losses and measures of a file depend on, with the environments. */
+/* What the losses and measures of a file depend on, in addition to the environments. */
 struct mo_atlas_source {
   struct mo_atlas_scope scope;
   enum mo_atlas_orientations orientations;
@@ -95,18 +95,17 @@ int mo_atlas_writer_create(const char *path, const struct mo_atlas_source *sourc
 void mo_atlas_writer_free(struct mo_atlas_writer *writer);
 uint64_t mo_atlas_writer_position(const struct mo_atlas_writer *writer); /* the next body */
 uint64_t mo_atlas_writer_bodies(const struct mo_atlas_writer *writer);   /* in all */
-/* Adds the next body. form: to check that it is this one (MO_ERR_CONFLICT: nothing was added).
- * losses: (n environments), with `images`, the means over the images; finite or +infinity
- * (MO_ERR_INVALID: nothing was added). measures: those of the source, in the order of enum
- * mo_measure, as means over the environments; finite as float32, or NaN without a value
- * (MO_ERR_INVALID); not read if the source has none. MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: nothing was
- * added; try again later. After MO_ERR_IO, free the writer; a new one continues. */
+/* Adds the next body. form: its form, as a check (MO_ERR_CONFLICT: the next body is a different
+ * one, and nothing was added). losses: (n environments), with `images`, the means over the images;
+ * finite or +infinity (MO_ERR_INVALID: nothing was added). measures: those of the source, in the
+ * order of enum mo_measure, as means over the environments; finite as float32, or NaN without a
+ * value (MO_ERR_INVALID); not read if the source has none. MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY:
+ * nothing was added; try again later. After MO_ERR_IO, free the writer; a new one continues. */
 int mo_atlas_writer_add(struct mo_atlas_writer *writer, const uint64_t *form, const double *losses,
                         const double *measures);
-/* Makes all added bodies durable, which otherwise happens block by block. It overwrites the saved
- * part of the last block: if the write is torn, or fails with MO_ERR_NO_SPACE, that part is lost
- * from the file. MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: try again. MO_ERR_IO: as for
- * mo_atlas_writer_add. */
+/* Makes all added bodies durable now, instead of block by block. Overwrites the saved part of the
+ * last block: if the write is torn, or fails with MO_ERR_NO_SPACE, that part is lost from the file.
+ * MO_ERR_NO_SPACE, MO_ERR_NO_MEMORY: try again. MO_ERR_IO: as for mo_atlas_writer_add. */
 int mo_atlas_writer_save(struct mo_atlas_writer *writer);
 /* Completes the file durably. MO_ERR_INVALID: bodies are missing; MO_ERR_CONFLICT: PATH now exists,
  * and was not touched; remove it and call again. Otherwise as for mo_atlas_writer_add: after such
@@ -147,9 +146,9 @@ void mo_atlas_losses(const struct mo_atlas *atlas, uint64_t position, float *los
 /* Returns the mean of a measure over the environments: that of float64, rounded to float32. NaN: a
  * rollout has no value, for example because it diverged, or the file does not have the measure. */
 float mo_atlas_measure(const struct mo_atlas *atlas, uint64_t position, enum mo_measure measure);
-/* Returns the percentage of the other bodies of the same size with a lower measure, among those
- * with a value; equal ones count half. 100 if there are no others, NaN if the body has no value.
- * Reads the measure of every body of that size: 0.2 ms for 899,126 bodies. */
+/* Returns the percentage of the other bodies of the same size that have a lower measure; bodies
+ * without a value are left out, and equal ones count half. 100 if there are no others, NaN if the
+ * body has no value. Reads the measure of every body of that size: 0.2 ms for 899,126 bodies. */
 double mo_atlas_measure_percentile(const struct mo_atlas *atlas, uint64_t position,
                                    enum mo_measure measure);
 
@@ -171,11 +170,11 @@ struct mo_atlas_neighbor {
  * are left out. Returns their number. */
 uint32_t mo_atlas_neighbors(const struct mo_atlas *atlas, uint64_t position, unsigned steps,
                             struct mo_atlas_neighbor neighbors[MO_ATLAS_NEIGHBORS_MAX]);
-/* Finds the first of these neighbors if its score is lower than the body's: the best change.
- * MO_ERR_NOT_FOUND: the body is a local optimum. */
+/* Finds the neighbor to which the score improves most: the first of these neighbors, if its score
+ * is lower than the body's. MO_ERR_NOT_FOUND: the body is a local optimum. */
 int mo_atlas_best_step(const struct mo_atlas *atlas, uint64_t position, unsigned steps,
                        struct mo_atlas_neighbor *neighbor);
-/* Follows the best changes from a body to a local optimum: steepest ascent. path: (max), gets the
+/* Follows the best steps from a body to a local optimum: steepest ascent. path: (max) receives the
  * first bodies of the path, which begins with `position`. Returns the number of bodies on the whole
  * path; *optimum: the last. */
 uint64_t mo_atlas_ascend(const struct mo_atlas *atlas, uint64_t position, unsigned steps,
@@ -187,10 +186,10 @@ uint64_t mo_atlas_ascend(const struct mo_atlas *atlas, uint64_t position, unsign
  * bytes of memory per body. Const after it is made; does not outlive the atlas. */
 struct mo_atlas_index;
 int mo_atlas_index_create(const struct mo_atlas *atlas, struct mo_atlas_index **index);
-/* The same, sorted by a measure in the file, lowest first, or by its negative value, so that the
- * highest comes first: all functions of an index then use it instead of the score. Bodies without a
- * value come last, are in no bin of a histogram, and must not be ranked. MO_ERR_NOT_FOUND: the file
- * does not have the measure; MO_ERR_NO_MEMORY. */
+/* The same, but sorted by a measure in the file, lowest first, or by its negative value, so that
+ * the highest comes first. All functions of an index then use that number instead of the score.
+ * Bodies without a value come last, are in no bin of a histogram, and must not be ranked.
+ * MO_ERR_NOT_FOUND: the file does not have the measure; MO_ERR_NO_MEMORY. */
 int mo_atlas_index_create_by(const struct mo_atlas *atlas, enum mo_measure measure,
                              bool is_negative, struct mo_atlas_index **index);
 void mo_atlas_index_free(struct mo_atlas_index *index); /* NULL-safe */
@@ -206,8 +205,8 @@ struct mo_atlas_rank {
  * `better` + 1. */
 struct mo_atlas_rank mo_atlas_rank_of(const struct mo_atlas_index *index, uint64_t position,
                                       bool within_size);
-/* Returns the position of the body at place i of the ranking, i below the number of bodies. 0: the
- * optimum. */
+/* Returns the position of the body at place i of the ranking; i is below the number of bodies, and
+ * place 0 is the optimum. */
 uint64_t mo_atlas_nth(const struct mo_atlas_index *index, uint32_t n_voxels, uint64_t i);
 /* Writes the best bodies. Returns their number: `max`, or as many as there are. */
 uint64_t mo_atlas_best(const struct mo_atlas_index *index, uint32_t n_voxels, uint64_t max,
@@ -227,8 +226,8 @@ void mo_atlas_footprints(const struct mo_atlas *atlas,
 
 /* ---- basins ---- */
 
-/* Where steepest ascent by adding and removing voxels ends, for all bodies: computed once, in a few
- * seconds. Takes 8 bytes of memory per body. Const after it is made. */
+/* The local optimum at which steepest ascent by adding and removing voxels ends, for each body:
+ * computed once, in a few seconds. Takes 8 bytes of memory per body. Const after it is made. */
 struct mo_atlas_basins;
 /* cancel (nullable): set to stop (MO_ERR_CANCELLED). MO_ERR_NO_MEMORY. */
 int mo_atlas_basins_create(const struct mo_atlas *atlas, const struct mo_atlas_index *index,

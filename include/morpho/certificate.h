@@ -1,5 +1,5 @@
-/* certificate.h: what the score of a design is worth: how it changes with the time step, the worlds
- * and the constants of the physics.
+/* certificate.h: how much the score of a design can be trusted: how it changes with the time step,
+ * the worlds and the constants of the physics.
  *
  * A certificate scores a list of designs in *trials*. The first trial is the base: the designs in
  * the environments and with the physics that were requested. Each other trial changes one thing,
@@ -27,7 +27,7 @@ extern "C" {
 #define MO_CERTIFICATE_HELD_OUT_MAX 1024
 #define MO_CERTIFICATE_WORLDS_MAX   256
 #define MO_CERTIFICATE_CHANCE_MAX   64
-#define MO_CERTIFICATE_LEVELS_MAX   8    /* factors of each constant */
+#define MO_CERTIFICATE_LEVELS_MAX   8    /* of factors, which are the same for each constant */
 #define MO_CERTIFICATE_CHANCE       1e-4 /* largest relative change on the axis `chance` */
 
 /* In a fixed order: new axes are appended. The levels of an axis are in brackets; an axis without
@@ -136,46 +136,47 @@ struct mo_interval {
 /* A design at one level. If a rollout diverged, the numbers are NaN: there is no mean. */
 struct mo_trial_score {
   double score; /* mean loss over the worlds */
-  /* Of the mean over all worlds of this kind, by Student's t. Unknown for a single world. Losses
-   * are skewed, so intervals over ten worlds contain the mean in 90 to 95 of 100 cases. Where a
-   * trial has each world of the base several times (`worlds`), the base's worlds are the
-   * independent units: the variance is that of the sums over each (CR1, Cameron & Miller 2015).
-   * `chance`: a prediction interval for the score in one more copy of the worlds, because the
-   * question is how far luck moves a score. */
+  /* Interval of the mean loss over all worlds of this kind, by Student's t. Unknown for a single
+   * world. Losses are skewed, so intervals from ten worlds contain that mean in 90 to 95 of 100
+   * cases. Where a trial repeats each world of the base (`worlds`), the base's worlds are the
+   * independent units: the variance is that of the sums over the repetitions of each (CR1, Cameron
+   * & Miller 2015). `chance`: a prediction interval for the score in one more copy of the worlds,
+   * because the question is how much chance changes a score. */
   struct mo_interval interval;
-  /* From the base's score. Paired: the mean of the differences between the loss in a world and the
-   * base's in the same world, with an interval like that of the score. Otherwise the difference of
-   * the means, with Welch's interval, degrees of freedom rounded down. For the base: unknown. */
+  /* The score minus the base's score, with its interval. Paired: the mean, over the worlds, of the
+   * loss here minus the base's loss in the same world; its interval is computed like that of the
+   * score. Otherwise: the difference of the means, with Welch's interval, for which the degrees of
+   * freedom are rounded down. Unknown for the base. */
   double change;
   struct mo_interval of_change;
   uint32_t diverged; /* rollouts */
   uint32_t rank;     /* 1 … n among the designs; diverged ones are last; equal scores share one */
 };
-/* All designs at one level. Designs with a divergence, here or at the base, do not count in tau. On
- * the axis `chance`, tau, regret and top_score are means over the copies of the worlds: each
- * describes a single copy, not the mean score over the copies, which depends less on luck than a
- * score of the base. */
+/* All designs at one level. Designs that diverged, at this level or at the base, do not count in
+ * tau. On the axis `chance`, tau, regret and top_score are means over the copies of the worlds:
+ * each describes a single copy, not the mean score over the copies, which depends less on chance
+ * than a score of the base does. */
 struct mo_trial_list {
   double mean_score; /* over designs without a divergence */
   uint32_t n_diverged_designs;
-  double tau; /* Kendall's tau-b between the scores here and at the base; NaN: at the base, for
-                 fewer than two designs, or if all scores are equal */
-  /* Of tau over all designs of this kind. Unknown for fewer than MO_TAU_DESIGNS_MIN designs. The
-   * jackknife variance of tau over designs, which is consistent (Arvesen 1969), gives the number of
-   * independent pairs that would have the same variance, (1 − tau²) / variance, at least half the
-   * number of designs (Hoeffding 1948) and at most that of all pairs; Wilson's score interval
-   * (1927) with this number stays within [−1, 1]. If all pairs agree, or all disagree, the variance
-   * used is the one with a single exception. */
+  double tau; /* Kendall's tau-b between the scores at this level and at the base; NaN: at the base,
+                 for fewer than two designs, or if all scores are equal */
+  /* Interval of tau over all designs of this kind. Unknown for fewer than MO_TAU_DESIGNS_MIN
+   * designs. The jackknife variance of tau over designs, which is consistent (Arvesen 1969), gives
+   * the number of independent pairs that would have the same variance, (1 − tau²) / variance, at
+   * least half the number of designs (Hoeffding 1948) and at most that of all pairs; Wilson's score
+   * interval (1927) with this number stays within [−1, 1]. If all pairs agree, or all disagree, the
+   * variance used is the one with a single exception. */
   struct mo_interval of_tau;
-  /* Of the base's top designs (mo_certificate_top): their mean score here, and how far it is above
-   * the mean score of the same number of designs that are best here. NaN: one of them diverged
-   * here. The base's regret is NaN. */
+  /* For the designs that are best at the base (mo_certificate_top): their mean score at this level,
+   * and how far it is above the mean score of the same number of designs that are best at this
+   * level. NaN: one of them diverged at this level. The base's regret is NaN. */
   double top_score, regret;
 };
 #define MO_TAU_DESIGNS_MIN 4
 /* losses: (n_designs, trials[t].n_environments) per trial t; +infinity: diverged. The base is the
- * first trial; an incomplete certificate has the figures of its first trials. scores: (n_trials,
- * n_designs); lists: (n_trials); both filled in. MO_ERR_NO_MEMORY. */
+ * first trial; an incomplete certificate has the figures of the trials scored so far. scores:
+ * (n_trials, n_designs); lists: (n_trials); both filled in. MO_ERR_NO_MEMORY. */
 int mo_certificate_figures(const struct mo_certificate_settings *settings,
                            const struct mo_trial *trials, uint32_t n_trials,
                            const float *const *losses, uint32_t n_designs,

@@ -97,7 +97,7 @@ struct mo_rate {
   enum mo_precision precision;
   enum mo_integrator integrator;
   double dt_s, control_period_s;
-  uint64_t blocks;       /* each has one body, or the robots of a gradient; on devices: calls */
+  uint64_t blocks;       /* a block has one body, or the robots of a gradient; on devices: calls */
   uint64_t rollouts;     /* or robots, of gradients */
   uint64_t steps;        /* sum over rollouts */
   uint64_t spring_steps; /* sum over rollouts: steps × springs */
@@ -126,13 +126,13 @@ void mo_compute_controller_free(struct mo_compute_controller *controller);
 /* ---- shares: how the workers' time is divided among submitters ---- */
 
 /* While several shares have waiting blocks, each gets worker time in proportion to its weight, no
- * matter how long its blocks run or how many wait. A share without waiting blocks leaves its part
- * to the others. Blocks of one share start in order of submission. The order decides when a result
- * arrives, never its bits. Keep two blocks per worker submitted: a share with no block waiting
- * cannot use a large part. Urgent blocks (MO_INTERACTIVE) still go first and are charged to no
- * share; their time is subtracted from the block that they interrupted. */
+ * matter how long its blocks run or how many wait. A share without waiting blocks leaves its time
+ * to the others. Blocks of one share start in order of submission. The order affects when a result
+ * arrives, but never its bits. Keep two blocks per worker submitted: a share with no block waiting
+ * cannot use a large fraction of the time. Urgent blocks (MO_INTERACTIVE) still go first and are
+ * charged to no share; their time is subtracted from the block that they interrupted. */
 #define MO_SHARE_WEIGHT_MIN 1e-3
-#define MO_SHARE_WEIGHT_MAX 1e6 /* 1000 for one job; a share may stand for many */
+#define MO_SHARE_WEIGHT_MAX 1e6 /* one job has at most 1000; a share may stand for many jobs */
 
 /* Creates a share; a weight outside the range is clamped to it. MO_ERR_NO_MEMORY. */
 int mo_compute_share_create(struct mo_compute *compute, double weight,
@@ -155,7 +155,7 @@ void mo_compute_share_get_stats(const struct mo_compute_share *share,
                                 struct mo_compute_share_stats *stats); /* lock-free */
 
 /* Sets the budget of a worker's scratch for gradients, initially MO_GRADIENT_DEFAULT_BYTES. It
- * applies to scratch that workers create later, and changes no bit. */
+ * applies to scratch that workers create later, and changes no bit of a result. */
 void mo_compute_set_gradient_bytes(struct mo_compute *compute, size_t bytes);
 /* Makes workers free their gradient scratch. Call it when no gradients are expected soon; a later
  * gradient reallocates its scratch. */
@@ -177,7 +177,7 @@ int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n
 
 /* ---- gradients ---- */
 
-/* A batch of different robots, each with its environment. The caller fills it in, and owns
+/* A batch of different robots, each with its own environment. The caller fills it in, and owns
  * everything that it points to. */
 struct mo_gradient_batch {
   const struct mo_controller *controller;
@@ -208,9 +208,9 @@ struct mo_gradient_batch {
  * order. The bits are therefore the same for any number of workers. Urgent scoring blocks can
  * interrupt a gradient block. Remote takers compute whole shards, see below.
  *
- * `state` holds data between calls: a pack, and at most two float32 gradients per worker. Create
- * one state per training run. It serves one call at a time, which must have returned before
- * mo_compute_free.
+ * `state` keeps data from one call to the next: a pack, and at most two float32 gradients per
+ * worker. Create one state per training run. Only one call at a time may use it, and that call must
+ * have returned before mo_compute_free.
  *
  * Environments, physics and options must have been checked (mo_gradient_options_check).
  * MO_ERR_INVALID (a body of a different workspace), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED,
@@ -218,8 +218,8 @@ struct mo_gradient_batch {
  *
  * On devices a shard is 1024 consecutive robots in the order of the batch, with a float32 sum.
  * Shards are spread over the devices and added in float64 in order: the same bits for any number of
- * devices. Devices ignore `urgency`. If they do not support the batch, the workers compute all of
- * it, unless it is strict. */
+ * devices. Devices ignore `urgency`. If devices do not support the batch, the workers compute all
+ * of it, unless the batch is strict. */
 struct mo_gradient_state;
 int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_state **state);
 void mo_gradient_state_free(struct mo_gradient_state *state); /* NULL-safe; before the compute */
@@ -242,7 +242,7 @@ const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute);
  * and states, with `body` NULL, all of one share, one controller and one physics, and either all
  * with all measures or all without measures; the submitters still own them. Or it is one shard of a
  * gradient on the CPU or on expected devices, if the batch has a share, is not urgent, and includes
- * its genotypes. */
+ * the genotypes of its robots. */
 struct mo_taken {
   enum mo_back_end back_end;
   uint32_t n_blocks, n_rows;              /* a row is one rollout; a shard counts as one block */
@@ -275,7 +275,7 @@ void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *taken);
 /* Puts back blocks that remote takers cannot compute, and excludes them from remote takers
  * permanently. After a shard for devices, the workers compute its entire gradient. */
 void mo_compute_keep(struct mo_compute *compute, struct mo_taken *taken);
-/* Splits off the second half of the blocks as another `taken`. Returns NULL if it has only one
+/* Splits off the second half of the blocks as another `taken`. Returns NULL if `taken` has only one
  * block, or if out of memory. */
 struct mo_taken *mo_compute_split(struct mo_compute *compute, struct mo_taken *taken);
 /* Returns whether every block is cancelled. */
@@ -284,8 +284,8 @@ bool mo_taken_is_cancelled(const struct mo_taken *taken);
  * Cancelled blocks end as cancelled. */
 void mo_compute_deliver(struct mo_compute *compute, struct mo_taken *taken,
                         const struct mo_remote_result *result);
-/* Sets how many blocks remote takers of a back end can hold, initially 0. Submitters keep that many
- * more blocks submitted. */
+/* Sets how many blocks the remote takers of a back end can hold in total, initially 0. Submitters
+ * keep that many more blocks submitted. */
 void mo_compute_want_remote(struct mo_compute *compute, enum mo_back_end back_end, uint32_t blocks);
 uint32_t mo_compute_remote_wanted(const struct mo_compute *compute, enum mo_back_end back_end);
 /* Returns the number of rollout steps in waiting blocks that are suitable for remote takers. */
@@ -293,8 +293,8 @@ uint64_t mo_compute_remote_waiting(struct mo_compute *compute, enum mo_back_end 
 /* Leaves suitable blocks to remote takers: workers take only the others. */
 void mo_compute_leave_remote(struct mo_compute *compute, bool leave);
 /* Sets a callback for the first suitable block that is queued after mo_compute_take found none. It
- * runs with a lock held: it must be short and must not call this room. Set it before the first
- * block. NULL removes it; when this function returns, no call is in progress. */
+ * runs with a lock held: it must be short and must not call any function of this room. Set it
+ * before the first block. NULL removes it; when this function returns, no call is in progress. */
 void mo_compute_watch_remote(struct mo_compute *compute, void (*arrived)(void *context),
                              void *context);
 
@@ -303,9 +303,9 @@ void mo_compute_watch_remote(struct mo_compute *compute, void (*arrived)(void *c
  * equally early. MO_ERR_CONFLICT: devices already exist; MO_ERR_NO_MEMORY. */
 int mo_compute_expect_devices(struct mo_compute *compute);
 bool mo_compute_expects_devices(const struct mo_compute *compute);
-/* Sets the class of expected devices permanently: its fingerprints of scores and gradients. Before
- * that, no block is accepted. Only one thread may call it at a time. MO_ERR_CONFLICT: the class is
- * already set; MO_ERR_LIMIT: too long. */
+/* Sets the class of expected devices permanently: the fingerprints of its scores and gradients.
+ * Until then, no block is accepted. Only one thread may call it at a time. MO_ERR_CONFLICT: the
+ * class is already set; MO_ERR_LIMIT: too long. */
 int mo_compute_name_devices(struct mo_compute *compute, const char *scores, const char *gradients);
 /* Returns whether blocks for devices are accepted: a device works, or the class of expected devices
  * is set. */

@@ -50,8 +50,8 @@ struct mo_metadata_entry {
 struct mo_controller {
   struct mo_workspace workspace;
   enum mo_sensor sensor;
-  double control_period_s;      /* it was trained to compute its outputs this often; 0: in every
-                                   step */
+  double control_period_s;      /* the period at which it was trained to compute its outputs; 0:
+                                   every step */
   uint32_t n_masses, n_springs; /* of the workspace's lattice */
   uint32_t n_inputs;            /* n_masses + MO_CPG_INPUTS */
   size_t n_parameters;

@@ -25,9 +25,9 @@ enum mo_error {
   MO_ERR_CONFLICT = -10,      /* contradicts what already exists */
   MO_ERR_IO = -11,            /* a read or write failed */
   MO_ERR_NO_SPACE = -12,      /* the disk is full */
-  MO_ERR_CANCELLED = -13,     /* the caller asked to stop */
+  MO_ERR_CANCELLED = -13,     /* the caller requested a stop */
   MO_ERR_BUSY = -14,          /* try again later */
-  MO_ERR_EXHAUSTED = -15,     /* no further item exists */
+  MO_ERR_EXHAUSTED = -15,     /* there are no more items */
   MO_ERR_CORRUPT = -16,       /* stored data contradicts itself */
   MO_ERR_UNSUPPORTED = -17,   /* valid, but this build or machine cannot do it */
   MO_ERR_DEVICE = -18         /* a computing device is lost or has failed */
@@ -38,11 +38,11 @@ struct mo_message {
   char text[256];
 };
 
-/* Returns a code in words ("out of memory"); "unknown error" for others. Never NULL; static
- * storage. */
+/* Returns a description of a code ("out of memory"); "unknown error" for other numbers. Never NULL;
+ * static storage. */
 const char *mo_error_text(int code);
 
-/* Returns a code as a name for programs ("no_memory"); "unknown" for others. */
+/* Returns the name of a code for programs ("no_memory"); "unknown" for other numbers. */
 const char *mo_error_name(int code);
 
 /* Formats into `message` (nullable) and returns `code`, so that a caller can write `return

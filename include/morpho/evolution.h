@@ -5,10 +5,10 @@
  *   mo_variation  makes children that were never seen before: mutants, then recombinants
  *   (the caller)  learns and scores
  *   mo_select     ranks the survivors among parents and children, best first
- * Every random number comes from a stream identified by (seed, purpose, generation, index). So an
- * interrupted generation can be repeated, bit for bit, from the population and the set of forms
- * seen so far. Generation 0 is the initial population; generation g ≥ 1 is made from the survivors
- * of generation g − 1.
+ * Every random number comes from a stream identified by (seed, purpose, generation, index). An
+ * interrupted generation can therefore be repeated, bit for bit, from the population and the set of
+ * forms seen so far. Generation 0 is the initial population; generation g ≥ 1 is made from the
+ * survivors of generation g − 1.
  *
  * Genotypes belong to the campaign's workspace (mo_workspace_words() words each, placed) and are
  * stored in arrays of n × words. A score is a mean loss: lower is better, +infinity if a rollout
@@ -55,9 +55,9 @@ struct mo_mode {
   bool inherits_learning; /* a generation continues the training run of the previous one */
   bool starts_untrained;  /* true: random weights if no controller is given; false: a controller is
                              required */
-  /* Of its presets: */
+  /* In its presets: */
   uint32_t generations[MO_PRESETS];
-  uint32_t steps; /* of learning, on parents and on children each */
+  uint32_t steps; /* learning steps, for parents and for children each */
   enum mo_schedule_preset schedule;
 };
 extern const struct mo_mode mo_modes[]; /* by enum mo_campaign_mode */
@@ -132,12 +132,12 @@ extern const char *const mo_racing_words[]; /* "lossless", "off", NULL */
 struct mo_campaign_settings {
   enum mo_campaign_mode mode;
   uint64_t seed;
-  struct mo_workspace workspace; /* that bodies must fit; 6 × 6 × 4, no side longer, because
+  struct mo_workspace workspace; /* bodies must fit it; 6 × 6 × 4; no side may be longer, because
                                     controllers are made for this size */
   uint32_t population; /* N: MO_POPULATION_MIN … MO_POPULATION_MAX; at most MO_TRAINING_DESIGNS_MAX
                           if it learns */
-  uint32_t generations; /* after generation 0; 0 … MO_GENERATIONS_MAX: 0 scores only the initial
-                           population. For a study: its newest batch */
+  uint32_t generations; /* after generation 0; 0 … MO_GENERATIONS_MAX; 0: only the initial
+                           population is scored. For a study: its newest batch */
   double mutation_share; /* share of the population that mutates, 0 … 1; 0.25; the rest recombine */
   double mutation_rate;   /* per voxel; 0 (default): 1 / voxels of the workspace; ≤ 0.5 */
   double mutation_growth; /* factor of the rate after each attempt that found nothing new; 1 …
@@ -154,7 +154,7 @@ struct mo_campaign_settings {
   uint32_t batch;                     /* 0: the population */
   struct mo_learning
       learning; /* schedule: few-shot within each generation, simultaneous over the campaign */
-  enum mo_sensor sensor; /* of a mode that starts untrained, without a controller */
+  enum mo_sensor sensor; /* used if the mode starts untrained and no controller is given */
   struct mo_physics physics;
 };
 
@@ -191,8 +191,9 @@ void mo_seen_free(struct mo_seen *seen); /* NULL-safe */
 int mo_seen_add(struct mo_seen *seen,
                 const uint64_t *genotype); /* 1: new, added; 0: already present; MO_ERR_NO_MEMORY,
                                               MO_ERR_EMPTY */
-/* Adds a genotype of any workspace, moved to the set's (a struct mo_seen): a callback for readers
- * of genotypes. MO_OK also if it is already present; MO_ERR_RANGE: it does not fit. */
+/* A callback for readers of genotypes: moves a genotype of any workspace to the workspace of the
+ * set (a struct mo_seen), and adds it. Also returns MO_OK if it is already present; MO_ERR_RANGE:
+ * it does not fit. */
 int mo_seen_take(void *seen, const struct mo_genotype *genotype);
 uint64_t mo_seen_count(const struct mo_seen *seen); /* forms added by mo_seen_add, mo_seen_take */
 
@@ -225,7 +226,7 @@ extern const char
 struct mo_birth {
   enum mo_operator op;
   uint32_t parents[2]; /* indices of the parents in the population; MO_NO_PARENT */
-  uint32_t attempts;   /* attempts until the child was new; at least 1 */
+  uint32_t attempts;   /* attempts until a child was new; at least 1 */
 };
 
 /* Fills places n_given … population − 1 of `genotypes` with random bodies that were not seen
@@ -233,8 +234,8 @@ struct mo_birth {
  * `seen`, including the given ones, which must be placed and valid and may have excluded forms. *n:
  * number of bodies; below `population` if the morphospace is exhausted, that is, if 2^16 draws in a
  * row found nothing new. MO_ERR_DUPLICATE: two given bodies have the same form (*fault, nullable:
- * the later one). cancel nullable: MO_ERR_CANCELLED. MO_ERR_NO_MEMORY; MO_ERR_RANGE: more given
- * bodies than the population has. On error `seen` may hold some of the bodies. */
+ * index of the later one). cancel nullable: MO_ERR_CANCELLED. MO_ERR_NO_MEMORY; MO_ERR_RANGE: more
+ * given bodies than the population has. On error `seen` may hold some of the bodies. */
 int mo_population_initial(const struct mo_campaign_settings *settings, struct mo_seen *seen,
                           uint64_t *genotypes, uint32_t n_given, uint32_t *n, uint32_t *fault,
                           const volatile int *cancel);
@@ -314,8 +315,8 @@ void mo_race_plan(const struct mo_campaign_settings *settings, const double *los
  * child before a wave. */
 int mo_race_saved(const struct mo_race *race, const double *losses, bool on_device);
 /* Returns the time, in rollouts, that the race costs a generation: a device computes thousands of
- * rollouts at once, and is idle at the end of a wave while the next one waits for it.
- * parents_first: the first wave waits for the scores of parents. */
+ * rollouts at once, and is partly idle at the end of a wave, because the next wave waits until that
+ * one has ended. parents_first: the first wave waits for the scores of parents. */
 uint32_t mo_race_lost(const struct mo_race *race, bool on_device, bool parents_first);
 /* Returns whether a child with these losses (NaN: not computed) cannot survive. */
 bool mo_race_is_lost(const struct mo_race *race, const double *losses);
@@ -336,7 +337,8 @@ struct mo_best {
   struct mo_rank *ranks; /* (n_designs) scratch */
   struct mo_race race;   /* its bound is that of the designs with all losses */
   uint32_t round, wave;  /* rounds and waves requested */
-  uint32_t prefix;       /* environments of race.order that open designs have before this round */
+  uint32_t prefix;       /* number of environments, in race.order, that open designs have before
+                            this round */
   bool is_whole;         /* all designs get all their losses in the first round */
   uint64_t n_given;      /* losses delivered */
   struct {
@@ -387,10 +389,10 @@ double mo_diversity(struct mo_workspace workspace, const uint64_t *genotypes, ui
 void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
                         double *distances);
 
-/* Picks m of n (m ≤ n): the best, and others at even steps through the ranking by score (diverged
- * ones only if there are not enough others). Orders them by their mean Hamming distance to each
- * other, most distinct first; ties: better score, then lower place. picks: (m) places; distances
- * (nullable): (m) distances of the picks, as from mo_distinctiveness. MO_ERR_NO_MEMORY;
+/* Picks m of n designs (m ≤ n): the best, and others at equal intervals in the ranking by score
+ * (diverged ones only if there are not enough others). Orders them by their mean Hamming distance
+ * to each other, most distinct first; ties: better score, then lower place. picks: (m) places;
+ * distances (nullable): (m) distances of the picks, as from mo_distinctiveness. MO_ERR_NO_MEMORY;
  * MO_ERR_RANGE: m > n. */
 int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const double *scores,
                  uint32_t n, uint32_t m, uint32_t *picks, double *distances);

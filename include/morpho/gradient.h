@@ -57,22 +57,22 @@ struct mo_gradient_options mo_default_gradient_options(void);
  * its range. */
 int mo_gradient_options_check(const struct mo_gradient_options *options);
 
-/* Counts, added up over calls; start from {0}. */
+/* Counts that calls add to; start from {0}. */
 struct mo_gradient_counts {
   uint64_t robots;          /* calls that returned MO_OK */
   uint64_t steps;           /* backward steps, over all robots */
   uint64_t clipped_steps;   /* backward steps where m was above the bound */
   uint64_t clipped_robots;  /* robots with at least one such step */
-  uint64_t zeroed_robots;   /* contributed nothing: an adjoint, or a parameter's gradient, was not
-                               finite */
+  uint64_t zeroed_robots;   /* contributed nothing: an adjoint, or the gradient of a parameter, was
+                               not finite */
   uint64_t diverged_robots; /* contributed nothing: the rollout itself diverged */
   double largest;           /* largest finite m, measured before clipping */
 };
 void mo_gradient_counts_add(struct mo_gradient_counts *sum,
                             const struct mo_gradient_counts *counts);
 
-/* Computes the gradient of one rollout. Runs the rollout exactly as mo_rollout_reference does (same
- * outcome, bit for bit) and adds weight · ∂loss/∂parameters to d_parameters
+/* Computes the gradient of one rollout. Runs the rollout exactly as mo_rollout_reference does (with
+ * the same outcome, bit for bit) and adds weight · ∂loss/∂parameters to d_parameters
  * (controller->n_parameters, in file order; the float32 parameters count as real numbers). Springs
  * and masses that the body lacks get a gradient of 0. A robot whose rollout diverged, or whose
  * gradient is not finite, does not change d_parameters. With MO_IMPACT_EXACT the time of impact is
@@ -116,11 +116,11 @@ int mo_pack_create_for_gradients(const struct mo_controller *controller, enum mo
  * step. MO_ERR_UNSUPPORTED: a different workspace or sensor. */
 int mo_pack_update(struct mo_pack *pack, const struct mo_controller *controller);
 
-/* Scratch of one worker: grows to what its blocks need. The tape of a block (the data of every step
- * that the backward pass needs) is kept in full if it fits `budget_bytes`. Otherwise the rollout is
- * cut into segments: only their starts are kept, and the backward pass reruns each segment. The
- * budget changes no bit of a result. If it is too small for the shortest segments, it is
- * exceeded. */
+/* Scratch of one worker: grows to the size that its blocks need. The tape of a block (the data of
+ * every step that the backward pass needs) is kept in full if it fits `budget_bytes`. Otherwise the
+ * rollout is cut into segments: only their starts are kept, and the backward pass reruns each
+ * segment. The budget changes no bit of a result. If it is too small for the shortest segments, it
+ * is exceeded. */
 struct mo_gradient_memory;
 int mo_gradient_memory_create(size_t budget_bytes, struct mo_gradient_memory **memory);
 void mo_gradient_memory_free(struct mo_gradient_memory *memory); /* NULL-safe */

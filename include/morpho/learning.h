@@ -51,13 +51,15 @@ struct mo_schedule {
   double decay;          /* of the peak from one cycle to the next, 0 < decay ≤ 1 (restarts) */
   uint32_t cycle_steps;  /* of the first cycle, ≥ 1 (restarts) */
   uint32_t cycle_growth; /* growth of the length per cycle, 1 … 1000 (restarts) */
-  uint32_t warmup_steps; /* the rate grows linearly from peak/warmup to peak before the rest begins;
-                            0: none. A shorter run ends within the warm-up */
+  uint32_t warmup_steps; /* steps in which the rate grows linearly from peak/warmup to peak, before
+                            the rest of the schedule; 0: no warm-up. A shorter run ends within the
+                            warm-up */
 };
 /* The paper's three schedules, and this program's own defaults. */
 enum mo_schedule_preset {
   MO_SCHEDULE_PAPER_PRETRAIN,     /* 1e-3 → 1e-5, cycles 10, 20, 40, …, decay 0.7 */
-  MO_SCHEDULE_PAPER_FINETUNE,     /* between generations: 3.5e-4 → 3.5e-5 over one cycle of 100 */
+  MO_SCHEDULE_PAPER_FINETUNE,     /* between generations: 3.5e-4 → 3.5e-5 over one cycle of 100
+                                     steps */
   MO_SCHEDULE_PAPER_SIMULTANEOUS, /* as for pretraining, with decay 0.65 */
   MO_SCHEDULE_ONE_COSINE,         /* 2e-3 → 1e-5, warm-up 10 steps */
   MO_SCHEDULE_FINETUNE_COSINE     /* 3e-4 → 1e-6: fully annealed at any length */
@@ -83,9 +85,9 @@ struct mo_learning {
   double beta1, beta2, epsilon;        /* Adam: 0.9, 0.999, 1e-8 */
   double norm_limit;                   /* limit of the batch gradient's global L2 norm; 1; 0: off */
   struct mo_gradient_options gradient; /* the defaults; weight 0: the mean over the batch */
-  struct mo_factor_ranges vary; /* the world of each robot of a step gets a variation from here
+  struct mo_factor_ranges vary; /* the world of each robot of a step is varied within these ranges
                                    (mo_variations_draw with the run's seed and the step); worlds of
-                                   validations do not. Default: nothing varies */
+                                   validations are not. Default: nothing varies */
 };
 
 /* The defaults above, with a schedule. */
@@ -102,7 +104,7 @@ struct mo_training_settings {
   /* Validation scores these designs in these environments with the current controller. Pretraining:
    * the first mo_held_out_designs of the seed, which it never learns from. Finetuning: the first of
    * the designs that it trains on, or all if there are fewer. The environments are new to the
-   * controller, unless the run has its own environments: then those are used. */
+   * controller, unless the run has its own environments, which are then used. */
   uint32_t held_out_designs;      /* 64; ≤ MO_TRAINING_DESIGNS_MAX */
   uint32_t held_out_environments; /* 8; ≤ MO_HELD_OUT_ENVIRONMENTS_MAX */
 };
@@ -145,15 +147,15 @@ int mo_training_settings_check(const struct mo_training_settings *settings,
 int mo_held_out_form(const uint64_t *form);
 
 /* Draws n random bodies with held-out forms, no two with the same form: stream (seed,
- * HELD_OUT_BODY, 0, i), skipping other forms. A shorter list is the beginning of a longer one.
- * designs: (n, MO_DEFAULT_WORDS) placed genotypes of the default workspace. About 0.1 ms each.
+ * HELD_OUT_BODY, 0, i), skipping other forms. Longer lists begin with the shorter ones. designs:
+ * (n, MO_DEFAULT_WORDS) placed genotypes of the default workspace. About 0.1 ms each.
  * MO_ERR_NO_MEMORY; MO_ERR_RANGE: n > MO_TRAINING_DESIGNS_MAX. */
 int mo_held_out_designs(uint64_t seed, uint32_t n, uint64_t *designs);
 /* Fills in mo_environment_held_out for this seed, 0 … n − 1: the training distribution under keys
  * that no training run uses. */
 void mo_held_out_environments(uint64_t seed, uint32_t n, struct mo_environment *environments);
 /* The same with tasks, in turn: environment i has that of tasks[i mod n_tasks], and its light if
- * the task moves the light. n_tasks 0: none. */
+ * the task moves the light. n_tasks 0: no tasks. */
 void mo_held_out_tasks(uint64_t seed, uint32_t n, const struct mo_environment *tasks,
                        uint32_t n_tasks, struct mo_environment *environments);
 
@@ -222,9 +224,9 @@ void mo_training_set_threads(struct mo_training *training, uint32_t n_threads);
  * current step, the run trains on the new designs (copied; as in mo_training_create). Discards a
  * drawn step. MO_ERR_NO_MEMORY: nothing changed. */
 int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n);
-/* Makes a training run longer or shorter: n_steps ≥ the steps applied. Only a schedule that does
- * not depend on n_steps leaves the applied steps as they were; with other schedules it fails with
- * MO_ERR_UNSUPPORTED. */
+/* Makes a training run longer or shorter: n_steps ≥ the steps applied. Fails with
+ * MO_ERR_UNSUPPORTED if the schedule depends on n_steps, because the steps applied so far would
+ * then have had other rates. */
 int mo_training_set_steps(struct mo_training *training, uint32_t n_steps);
 
 /* The result of a step. */
@@ -262,8 +264,8 @@ int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size
 int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **training,
                        struct mo_message *message);
 
-/* The code that computed a training run's gradients, starting with a step. Their bits depend on it
- * and on the inputs. */
+/* The code that computed the gradients of a training run from a step on. The bits of the gradients
+ * depend on it and on the inputs. */
 #define MO_FINGERPRINT_BYTES 64
 #define MO_LINEAGE_MAX       32
 struct mo_training_code {

@@ -53,7 +53,7 @@ struct mo_measuring {
                                     diverged. The caller owns it */
 };
 
-/* Signs that a rollout did well by doing what real bodies cannot. */
+/* Signs that a rollout scored well by doing what real bodies cannot do. */
 enum mo_measure_flag {
   MO_FLAG_OVERSTRAINED = 1, /* peak_strain is above MO_PEAK_STRAIN_BOUND */
   MO_FLAG_INVERTED = 2      /* a voxel was inside out for a control period or longer */

@@ -115,9 +115,9 @@ int mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id
 int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t length,
                         uint64_t *form);
 
-/* Writes the notation of a robot: a design in one orientation, to which a score belongs. In ID@K, K
- * is the orientation: the genotype is image K of the canonical form, placed. The bits of K are
- * applied in this order: 4 swaps x and y, 1 mirrors in x, 2 mirrors in y. If several of the 8
+/* Writes the notation of a robot: a design in one orientation, which is what a score belongs to. In
+ * ID@K, K is the orientation: the genotype is image K of the canonical form, placed. The bits of K
+ * are applied in this order: 4 swaps x and y, 1 mirrors in x, 2 mirrors in y. If several of the 8
  * images are the genotype, K is the lowest. Two genotypes that differ only in their place have the
  * same notation. Digits of the id + 3 bytes. MO_ERR_EMPTY; MO_ERR_NO_MEMORY, but only above
  * MO_SMALL_VOXELS. */
@@ -173,9 +173,9 @@ int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed,
 void mo_body_stream_free(struct mo_body_stream *stream);
 /* form: the body's canonical form; nullable. */
 int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
-/* Sets how many threads draw bodies ahead (initially 1, which means none); a body takes a thread
- * about 10 µs. They stop at the end of each call. The bodies do not depend on the number. Setting
- * the current number has no effect. MO_ERR_NO_MEMORY: nothing changed. */
+/* Sets how many threads draw bodies ahead (initially 1, which means that none are drawn ahead); a
+ * body takes a thread about 10 µs. They stop at the end of each call. The bodies do not depend on
+ * the number. Setting the current number has no effect. MO_ERR_NO_MEMORY: nothing changed. */
 int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads);
 uint64_t mo_body_stream_draws(
     const struct mo_body_stream *stream); /* draws so far, including skipped ones */

@@ -39,7 +39,7 @@ enum mo_impact {
                              quadratic; the default */
   MO_IMPACT_BISECTION = 1 /* `bisections` halvings of [0, dt], lower end kept (paper: 8) */
 };
-/* How a step advances positions and velocities; docs/model.md has both. */
+/* How a step advances positions and velocities; docs/model.md describes both integrators. */
 enum mo_integrator {
   MO_INTEGRATOR_PAPER = 0, /* the paper's: a whole kick, then a drift; first order */
   MO_INTEGRATOR_SPLIT = 1  /* leapfrog: velocities are those at the middle of a step; an impact acts
@@ -60,14 +60,14 @@ struct mo_scheme {
   enum mo_impact impact;         /* exact */
   uint32_t bisections;           /* 8; 1 … 52; used with MO_IMPACT_BISECTION only */
 };
-/* Numbers that the kernels keep for each lane. */
+/* Numbers that may differ between the lanes of a block. */
 struct mo_constants {
   double stiffness_n_per_m; /* 15000, of every spring */
   double mass_kg;           /* 1, of every node */
   double drag_per_s;        /* 15: rate at which velocities decay */
   double gravity_m_per_s2;  /* 9.8 */
   double actuation;         /* 0.2: rest length L0 (1 + actuation · a), a in [−1, 1] */
-  double friction;          /* 0.9: tangential speed lost per normal speed */
+  double friction;          /* 0.9: tangential speed lost per unit of normal speed */
   double friction_cap;      /* 0.95: largest share of the tangential speed lost in one impact */
 };
 struct mo_physics {
@@ -84,8 +84,8 @@ struct mo_physics mo_default_physics(void);
 struct mo_physics mo_paper_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message names the field and its bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);
-/* The same for the constants times an environment's factors and times any factors from `vary`.
- * environment, vary: nullable. */
+/* Performs the same check on the constants multiplied by an environment's factors and by any
+ * factors from `vary`. environment, vary: nullable. */
 int mo_physics_check_in(const struct mo_physics *physics, const struct mo_environment *environment,
                         const struct mo_factor_ranges *vary, struct mo_message *message);
 

@@ -4,9 +4,9 @@
  * has a limit. Two sources of error separate the score from it, and a few more rollouts in the same
  * environments measure both. The step error is measured by rollouts with half the step,
  * extrapolated by the integrator's order. Rounding is measured by rollouts that start a little
- * higher. Contact amplifies small differences, so in some environments such a rollout ends
- * elsewhere (it bifurcates); rounding has the same effect. docs/performance.md has the measurements
- * behind the constants in score_error.c. */
+ * higher. Contact amplifies small differences, so in some environments a rollout that starts a
+ * little higher ends elsewhere (it bifurcates); rounding has the same effect. docs/performance.md
+ * reports the measurements from which the constants in score_error.c were chosen. */
 #ifndef MORPHO_SCORE_ERROR_H
 #define MORPHO_SCORE_ERROR_H
 

@@ -3,9 +3,8 @@
  * A ladder begins with the settings of a request. Each further rung halves the time step and keeps
  * duration and control period; starting with rung MO_LADDER_FLOAT64, numbers are float64. A design
  * climbs until its estimated error (score_error.h), the half-width of its interval, is at most the
- * tolerance. The rollouts of a rung are the runs of score_error.h with its settings. Because of
- * that, the run with half the step is also the first run of the next rung, if the precision is the
- * same. */
+ * tolerance. The rollouts of a rung are the runs of score_error.h with its settings. The run with
+ * half the step is therefore also the first run of the next rung, if the precision is the same. */
 #ifndef MORPHO_SCORE_LADDER_H
 #define MORPHO_SCORE_LADDER_H
 
@@ -23,7 +22,7 @@ extern "C" {
 #define MO_LADDER_RUNS_MAX (MO_LADDER_RUNGS * MO_ERROR_RUNS_MAX)
 
 /* Tolerances of a mean loss. Below the lower bound, rounding in float64 and the displaced starts
- * decide. */
+ * would dominate the error. */
 #define MO_TOLERANCE_MIN 1e-5
 #define MO_TOLERANCE_MAX 1e3
 

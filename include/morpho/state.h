@@ -8,7 +8,7 @@
  * began, sums, progress on a path); the rest comes from the window's environment. A tally begins at
  * the start of the rollout, and again at the start of a window whose task differs from that of the
  * previous window: its clock, which moves the light of a guide, then starts at 0. The controller's
- * clock never does. */
+ * clock is never reset. */
 #ifndef MORPHO_STATE_H
 #define MORPHO_STATE_H
 
@@ -54,8 +54,8 @@ struct mo_state {
   uint32_t n_masses, n_springs, n_voxels;
   uint32_t step; /* steps since the start; 0: the rollout diverged, and cannot continue */
   enum mo_precision precision; /* of the rollout */
-  /* The first bytes of hashes. The first two must not change between windows: those of the physics
-   * except for n_steps and drop_height_m, and those of the terrain with the factors. */
+  /* The first bytes of hashes. Two of these hashes must not change between windows: that of the
+   * physics except for n_steps and drop_height_m, and that of the terrain with the factors. */
   uint8_t physics_key[MO_STATE_KEY_BYTES], terrain_key[MO_STATE_KEY_BYTES];
   uint8_t task_key[MO_STATE_KEY_BYTES];
   /* One allocation, of mo_state_create. */

@@ -27,7 +27,7 @@ extern "C" {
 
 /* How the light moves. */
 enum mo_guide_kind {
-  MO_GUIDE_FIXED = 0, /* it does not: the light stands at light_xy_m of the environment */
+  MO_GUIDE_FIXED = 0, /* the light does not move: it stands at light_xy_m of the environment */
   MO_GUIDE_AHEAD,     /* distance_m ahead of the center of mass, in the direction heading_rad */
   MO_GUIDE_TURNING,   /* the same; at time t the direction is heading_rad + turn_rad_per_s · t */
   MO_GUIDE_PATH,      /* on a path, ahead of the place that the body has reached */
@@ -49,8 +49,9 @@ struct mo_guide {
   double center_m[2];                      /* moving, if it turns: at time 0 */
 };
 
-/* What the score is. Each has a loss (at least 0, 1 for a body that does nothing, lower is better)
- * and a value (larger is better, 0 for a body that does nothing). Stored by these numbers. */
+/* What the score measures. Each has a loss (at least 0, 1 for a body that does nothing, lower is
+ * better) and a value (larger is better, 0 for a body that does nothing). Stored by these
+ * numbers. */
 enum mo_objective {
   MO_OBJECTIVE_REACH = 0, /* distance to the light at the end over that at the start; fixed, moving
                            */
@@ -69,7 +70,7 @@ extern const char *const mo_objective_words[]; /* "reach", "approach", …, NULL
 #define MO_EFFICIENT_LEAST_J 1.0  /* less work than this counts as this much */
 #define MO_JUMP_FROM_S       0.4  /* earlier heights do not count; the end always does */
 #define MO_JUMP_SIDEWAYS     0.5  /* height that a meter of displacement subtracts, in m */
-#define MO_JUMP_SOFTNESS_M   0.02 /* of the smooth maximum that gradients have */
+#define MO_JUMP_SOFTNESS_M   0.02 /* of the smooth maximum that gradients use */
 
 /* The terms of a sum. The service accepts at most this many. */
 #define MO_TERMS_MAX       8

@@ -82,8 +82,8 @@ struct mo_factors {
 /* Returns factors that are all 1, and marked as given. */
 struct mo_factors mo_factors_ones(void);
 
-/* Ranges to draw worlds from, each {lowest, highest}: factors ({1, 1}: it does not vary), and what
- * is added to an environment ({0, 0}: nothing). */
+/* Ranges from which worlds are drawn, each {lowest, highest}: factors ({1, 1}: the constant does
+ * not vary), and what is added to an environment ({0, 0}: nothing). */
 struct mo_factor_ranges {
   bool given; /* false: nothing varies */
   double stiffness[2], mass[2], drag[2], gravity[2], actuation[2], friction[2];
@@ -127,8 +127,8 @@ struct mo_environment {
   struct mo_factors factors;
   double drop_m; /* extra lift of the body at the start, added to that of the physics; 0 …
                     MO_DROP_MAX_M */
-  const struct mo_terrain_grid *grid; /* nullable: the terrain is a custom grid. A copy of the
-                                         struct borrows it; see mo_terrain_grid_hold */
+  const struct mo_terrain_grid *grid; /* the terrain is this custom grid; NULL: it is not custom. A
+                                         copy of the struct borrows it; see mo_terrain_grid_hold */
 };
 
 #define MO_DROP_MAX_M 1.0
@@ -149,7 +149,7 @@ int mo_terrain_grid_create(uint32_t columns, uint32_t rows, double spacing_m,
 /* Adds or drops a reference; dropping the last one frees the grid. Thread-safe. NULL is ignored. */
 void mo_terrain_grid_hold(const struct mo_terrain_grid *grid);
 void mo_terrain_grid_drop(const struct mo_terrain_grid *grid);
-/* The same for the grids of n environments, which become NULL when they are dropped. */
+/* Does the same for the grids of n environments; when dropped, the pointers become NULL. */
 void mo_environments_hold(const struct mo_environment *environments, size_t n);
 void mo_environments_drop(struct mo_environment *environments, size_t n);
 /* Drops the grids and frees the list; NULL: nothing. */
