@@ -28,7 +28,7 @@ bool mo_atlas_query_voxels(struct mo_request *request, const struct mo_atlas_use
 /* Read `lo` and `hi`, which do not change if they are absent; lo must be below hi. */
 bool mo_atlas_query_range(struct mo_request *request, float *lo, float *hi);
 bool mo_atlas_query_interval(struct mo_request *request, const char *low, const char *high,
-                             float *lo, float *hi); /* the same by other names */
+                             float *lo, float *hi); /* reads the same under other names */
 
 /* Reads `measure`, which the atlas must have, as enum mo_measure; −1 if it is absent. */
 bool mo_atlas_query_measure(struct mo_request *request, const struct mo_atlas_use *use,
@@ -46,7 +46,7 @@ void mo_atlas_member_body(struct mo_text *text, const char *name, const struct m
                           uint64_t position);
 void mo_atlas_item_body(struct mo_text *text, const struct mo_atlas_use *use, uint64_t position);
 /* Writes a body's measures as a member, or their percentiles among the bodies of its size, if the
- * atlas has some. */
+ * atlas has measures. */
 void mo_atlas_member_measures(struct mo_text *text, const struct mo_atlas_use *use,
                               uint64_t position, bool as_percentiles);
 /* Writes an array of scores, such as edges, as a member. */

@@ -1,4 +1,4 @@
-/* atlas_library.h: the atlas files that are open, and what is in memory about them.
+/* atlas_library.h: the atlas files that are open, and the data about them in memory.
  *
  * A file is opened, and checked as a whole, when a request first needs it, and stays mapped: as a
  * copy, so that changes of the file do not reach requests that use it. The index (ranks) and the
@@ -31,7 +31,7 @@ struct mo_atlas_use {
   const struct mo_atlas_basins *basins; /* NULL: not in memory */
 };
 
-/* What the file itself does not have. */
+/* Facts that are not in the file itself. */
 struct mo_atlas_facts {
   const char *name;
   uint64_t bytes;
@@ -40,7 +40,7 @@ struct mo_atlas_facts {
 
 struct mo_atlas_library {
   struct mo_store *store;
-  /* Writes what is to be kept about a file: once, when it is first described. */
+  /* Writes the description of a file, which is then kept: called once, when it is first needed. */
   int (*describe)(const struct mo_atlas_use *use, const struct mo_atlas_facts *facts,
                   struct mo_text *text);
   pthread_mutex_t mutex; /* of everything below; never held for long */

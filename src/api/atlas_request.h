@@ -1,4 +1,4 @@
-/* atlas_request.h: the body of POST /v1/atlases, as requests.h has those of other jobs. */
+/* atlas_request.h: the body of POST /v1/atlases; requests.h has those of other jobs. */
 #ifndef MORPHO_API_ATLAS_REQUEST_H
 #define MORPHO_API_ATLAS_REQUEST_H
 

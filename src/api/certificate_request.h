@@ -1,5 +1,4 @@
-/* certificate_request.h: the body of POST /v1/certificates, as requests.h has those of other
- * jobs. */
+/* certificate_request.h: the body of POST /v1/certificates; requests.h has those of other jobs. */
 #ifndef MORPHO_API_CERTIFICATE_REQUEST_H
 #define MORPHO_API_CERTIFICATE_REQUEST_H
 

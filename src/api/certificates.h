@@ -6,8 +6,8 @@
 #include "api/handlers.h"
 #include "store/certificates.h"
 
-/* Writes the axes that were requested and do not apply, with the reasons, and what a reader of the
- * others must know, as two members. */
+/* Writes two members: the axes that were requested but do not apply, with the reasons, and what a
+ * reader of the other axes must know. */
 void mo_members_axes(struct mo_text *text, const struct mo_certificate_settings *settings,
                      const struct mo_certificate_base *base);
 

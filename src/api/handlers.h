@@ -26,7 +26,7 @@ struct mo_load {
 };
 
 /* The stream of random bodies that the latest request read. It is kept so that a request for the
- * next bodies need not draw all earlier ones again. */
+ * bodies that follow does not draw all earlier ones again. */
 struct mo_random_stream {
   pthread_mutex_t mutex;
   struct mo_body_stream *stream; /* NULL: no stream, or a request is using it */

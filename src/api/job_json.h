@@ -9,7 +9,7 @@
 
 /* Writes how the orientation of a design was chosen, or null if the request gave it. */
 void mo_member_orientation(struct mo_text *text, enum mo_orientation orientation);
-/* Writes the members of a design of a request: id, robot, genotype, sizes, and the content of its
+/* Writes the members of a design in a request: id, robot, genotype, sizes, and the content of its
  * note (nullable). If the genotype is empty, id, robot, genotype and sizes are null. May fail with
  * MO_ERR_NO_MEMORY. */
 int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
@@ -19,7 +19,8 @@ int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
  * the service computed them. */
 void mo_member_own_score(struct mo_text *text, const struct mo_own_score *own);
 /* Writes how the fresh worlds of re-evaluations differ in kind from the campaign's, as the member
- * "fresh_worlds" of a list of designs; null: they do not. Nothing if the campaign has none. */
+ * "fresh_worlds" of a list of designs; null: they do not differ. Writes nothing if the campaign has
+ * no re-evaluations. */
 void mo_member_fresh_worlds(struct mo_text *text, const struct mo_campaign_record *record);
 /* Writes notes with their places, as a member. */
 void mo_member_notes(struct mo_text *text, const char *name, const struct mo_design_note *notes,

@@ -44,10 +44,10 @@ extern const struct mo_resource mo_evaluation_resource, mo_training_resource, mo
 /* Replies with the problem of an error that concerns a job. what: its kind, or "job". */
 void mo_reply_job_error(struct mo_request *request, int error, const char *what, int64_t id);
 
-/* Reads the current state of a job; nothing if it has ended. */
+/* Reads the live state of a job; empty if the job has ended. */
 void mo_read_live(struct mo_api *api, const struct mo_job *job, struct mo_live *live);
 /* Replies with a job as it stands now: whole, or as an item of the list of jobs. On an error,
- * replies with it and returns it. */
+ * replies with the error and returns it. */
 int mo_reply_job(struct mo_request *request, unsigned http_status, const struct mo_resource *kind,
                  int64_t id, bool whole);
 /* Replies 202 to a submission, or 200 if the job is done and the client waited. */

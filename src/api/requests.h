@@ -40,7 +40,7 @@ struct mo_parts {           /* everything that a submission of any kind may requ
 /* controller, label, experiment, priority, weight, device; and only a weight, one double. */
 extern const struct mo_fields mo_parts_fields, mo_weight_fields;
 /* Fields of struct mo_parts: 1 to MO_DESIGNS_MAX designs; a word of mo_set_words or 1 to
- * MO_ENVIRONMENTS_MAX environments, or only their tasks, of which a request has one. */
+ * MO_ENVIRONMENTS_MAX environments, or only their tasks; a request has only one of these. */
 extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_tasks_field,
     mo_controller_field, mo_label_field;
 /* on_fault and repair, together and separately. Read them ahead of the designs. */
@@ -98,7 +98,7 @@ struct mo_parsed_evaluation {
 };
 int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
                         struct mo_faults *faults);
-/* states.h has the body of POST /v1/rollouts. */
+/* The body of POST /v1/rollouts is in states.h. */
 
 struct mo_parsed_training {
   struct mo_training_request request;
@@ -112,7 +112,7 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
 
 struct mo_parsed_campaign {
   struct mo_campaign_request request;
-  struct mo_parts parts;       /* genotypes: of the initial population */
+  struct mo_parts parts;       /* genotypes: those of the initial population */
   int mode, preset, if_exists; /* mode −1: not a valid word; if_exists 1: return the study */
   bool has_mode, has_learning, has_sensor;
 };
@@ -122,8 +122,8 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
 /* The bodies of POST …/tell and …/ask of a study. The caller frees `parents` in every case. */
 struct mo_parsed_telling {
   struct mo_study_telling telling;
-  struct mo_parts parts;         /* genotypes: of the children */
-  struct mo_workspace workspace; /* which they must fit; of the study, like has_scores, measures */
+  struct mo_parts parts;         /* genotypes: those of the children */
+  struct mo_workspace workspace; /* the study's, like has_scores and measures; bodies must fit */
   bool has_children, has_scores; /* has_scores: each child must have a score */
   uint32_t measures;             /* computed by the service; clients cannot use their names */
 };

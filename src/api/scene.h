@@ -23,13 +23,13 @@ struct mo_scene_array {
 bool mo_scene_channel(const struct mo_recording *recording, enum mo_channel channel,
                       uint32_t frames, uint32_t n_masses, uint32_t n_springs,
                       struct mo_scene_array *array);
-/* Writes an array as a member of an object: a description, with the numbers at the end of `arrays`,
- * or the array itself as JSON if `arrays` is NULL. */
+/* Writes an array as a member of an object. If `arrays` is NULL, the member is the array itself as
+ * JSON; otherwise, it is a description, and the numbers are appended to `arrays`. */
 void mo_scene_write_array(struct mo_text *text, struct mo_text *arrays,
                           const struct mo_scene_array *array);
 /* Writes the arrays of a body's geometry, as members of an object: masses, springs, rest_lengths_m,
- * voxels, faces. With `arrays`, they are described and their numbers are added there; without, they
- * are written as JSON arrays. May fail with MO_ERR_NO_MEMORY. */
+ * voxels, faces. If `arrays` is NULL, they are JSON arrays; otherwise, they are descriptions, and
+ * the numbers are appended to `arrays`. May fail with MO_ERR_NO_MEMORY. */
 int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
                         const struct mo_lattice *lattice, const struct mo_body *body,
                         const struct mo_genotype *genotype);

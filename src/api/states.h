@@ -6,7 +6,7 @@
 #include "api/requests.h"
 #include "jobs/rollouts.h"
 
-/* What a request says about states. */
+/* The states in a request, and what it requests about states. */
 struct mo_parsed_states {
   struct mo_start *list; /* (n) in the order of the request; steps are set by mo_states_check */
   double *times_s;       /* (n, 2) of each state, and when its tally began */
@@ -15,7 +15,7 @@ struct mo_parsed_states {
   bool int16_masses; /* positions as masses_int16 (docs/scenes.md) */
   int error;         /* MO_ERR_NO_MEMORY */
 };
-extern const struct mo_fields mo_states_fields; /* of it: states, final_states,
+extern const struct mo_fields mo_states_fields; /* its members: states, final_states,
                                                masses_int16 */
 
 /* The body of POST /v1/rollouts: without the members of an evaluation that belong to a job. Free
@@ -27,13 +27,13 @@ struct mo_parsed_rollouts {
 int mo_rollouts_parse(const char *text, size_t size, struct mo_parsed_rollouts *parsed,
                       struct mo_faults *faults);
 
-/* Turns the times into steps, and adds a fault for each time that is not on a step of the
- * physics. */
+/* Converts the times to steps, and adds a fault for each time that is not a multiple of the time
+ * step. */
 void mo_states_check(struct mo_json *json, const struct mo_physics *physics,
                      struct mo_parsed_states *states);
 void mo_states_free(struct mo_parsed_states *states);
 
-/* Writes a state as the member "state"; null for that of a rollout that diverged. */
+/* Writes a state as the member "state"; null if its rollout diverged. */
 void mo_member_state(struct mo_text *text, const struct mo_state *state,
                      const struct mo_genotype *robot, const struct mo_task *task,
                      const struct mo_physics *physics);

@@ -5,8 +5,8 @@
 #include "api/handlers.h"
 #include "api/requests.h"
 
-/* Places of the faults that are found only when a submission is stored. NULL: no place; "": the
- * body. */
+/* JSON pointers to the causes of errors that are found only when a submission is stored. NULL: no
+ * pointer; "": the whole body. */
 struct mo_refusal_pointers {
   const char *controller, *limit, *empty, *conflict; /* conflict NULL: only a key can conflict */
   const char *invalid;
@@ -16,16 +16,16 @@ struct mo_post {
   const char *what; /* "training" */
   char key_text[256];
   struct mo_request_key key; /* of the body */
-  bool parsed;               /* the body is valid: later faults are found by storing it */
+  bool parsed;               /* the body is valid: any later fault is found when it is stored */
   struct mo_refusal_pointers pointers;
   struct mo_message message; /* why it was not stored */
   struct mo_faults faults;   /* faults in the body, and in the resources that it refers to */
 };
 
-/* Handles a whole submission: checks what every submission must satisfy (JSON, a service that takes
- * work, a well-formed Idempotency-Key) and calls `submit`, which reads the body and stores the job.
- * If `submit` fails without a reply, replies with its error. Returns true if the job is stored; the
- * memory of the body is then freed. */
+/* Handles a whole submission: checks the conditions of every submission (the body is JSON, the
+ * service accepts work, the Idempotency-Key is well-formed) and calls `submit`, which reads the
+ * body and stores the job. If `submit` fails without a reply, replies with its error. Returns true
+ * if the job is stored; the memory of the body is then freed. */
 bool mo_handle_submission(struct mo_request *request, const char *what,
                           int (*submit)(struct mo_request *request, struct mo_post *post));
 /* Returns the name of the caller's token, or NULL if the request has no token. */
@@ -51,8 +51,9 @@ void mo_reply_parse_error(struct mo_request *request, int error, const struct mo
                           const char *what);
 void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults);
 
-/* Returns whether to look up the resources of a request: if storing the job did not find one of
- * them, or if the body is invalid and the client should get all faults at once. */
+/* Returns whether to look up the resources of a request: because one of them was not found when the
+ * job was stored, or because the body is invalid and the client should receive all faults at
+ * once. */
 bool mo_names_unknown(const struct mo_post *post, int error);
 /* Look up a resource of a request: a controller for the service's workspace (NULL: none), or a job
  * of this kind (0: none). Add a fault if it does not exist. */

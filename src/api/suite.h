@@ -9,9 +9,9 @@
 struct mo_suite_scores {
   double losses[MO_SUITE_TASKS], values[MO_SUITE_TASKS]; /* means; NaN: a rollout diverged, or the
                                                             design was skipped */
-  uint32_t n[MO_SUITE_TASKS];                            /* rollouts that diverged; in means: of how
-                                                            many designs */
-  double mean_loss;    /* over the tasks that have a loss; NaN: none has */
+  uint32_t n[MO_SUITE_TASKS];                            /* number of rollouts that diverged; in
+                                                            means: number of designs */
+  double mean_loss;    /* over the tasks that have a loss; NaN: no task has one */
   uint32_t n_left_out; /* tasks without a loss */
 };
 
@@ -20,7 +20,7 @@ int mo_suite_of(const struct mo_job *job);
 /* Computes the scores of design d. environments: those of the job. */
 struct mo_suite_scores mo_suite_scores(const struct mo_evaluation_results *results, uint32_t d,
                                        const struct mo_environment *environments);
-/* Computes the means over all designs, for each task over those that have a loss in it. */
+/* Computes the means over the designs: for each task, over those that have a loss in it. */
 struct mo_suite_scores mo_suite_means(const struct mo_evaluation_results *results,
                                       const struct mo_environment *environments);
 /* Returns the objective of a task. */
@@ -44,7 +44,7 @@ bool mo_results_fit(const struct mo_job *job);
 
 struct mo_suite_axis {
   const char *unit; /* "": a share */
-  double maximum;   /* at its end */
+  double maximum;   /* value at the end of the axis */
 };
 /* A design in the picture. */
 struct mo_suite_polygon {

@@ -8,8 +8,8 @@
 
 #define MO_BASE64_BYTES(n) (((n) + 2) / 3 * 4 + 1) /* size of the text, with its NUL */
 void mo_base64_encode(const void *bytes, size_t n, char text[]);
-/* Decodes `size` characters; bytes: room for size / 4 · 3. *n: bytes written. Returns false if the
- * text is not Base64, has blanks, lacks padding, or has bits beyond the last byte. */
+/* Decodes `size` characters; bytes: space for size / 4 · 3. *n: bytes written. Returns false if the
+ * text is not Base64, contains blanks, lacks padding, or has non-zero bits after the last byte. */
 bool mo_base64_decode(const char *text, size_t size, uint8_t *bytes, size_t *n);
 
 #endif

@@ -1,6 +1,6 @@
 /* faults.h: collects the faults of a request.
  *
- * A client gets up to MO_FAULTS_MAX faults at once, each with its place. */
+ * A client receives up to MO_FAULTS_MAX faults at once, each with its location. */
 #ifndef MORPHO_BASE_FAULTS_H
 #define MORPHO_BASE_FAULTS_H
 
@@ -27,7 +27,7 @@ struct mo_faults {
   struct mo_fault items[MO_FAULTS_MAX];
 };
 
-/* Adds one fault. Faults beyond MO_FAULTS_MAX are dropped, longer texts are cut. */
+/* Adds one fault. Faults beyond MO_FAULTS_MAX are dropped, and texts that are too long are cut. */
 void mo_faults_add(struct mo_faults *faults, enum mo_fault_place place, const char *where,
                    const char *format, ...) __attribute__((format(printf, 4, 5)));
 static inline bool mo_faults_full(const struct mo_faults *faults)

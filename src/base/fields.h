@@ -27,7 +27,7 @@ enum mo_field_type {
   MO_FIELD_NUMBERS, /* double[n], finite: an array of exactly n; with `side`, or one of rows */
   MO_FIELD_TEXT,    /* char[max + 1]: min to max printable ASCII characters */
   MO_FIELD_GROUP,   /* an object: the rows of `group`, for the struct at `offset` */
-  MO_FIELD_INLINE,  /* the rows of `group` without an object around them; it has no name */
+  MO_FIELD_INLINE,  /* the rows of `group` without an object around them; this row has no name */
   MO_FIELD_OWN      /* anything else, by the functions of `own` */
 };
 
@@ -68,7 +68,8 @@ struct mo_field {
   const char *help; /* one line without a period */
 };
 
-/* Texts that JSON may have instead of an object. set: sets every row to the values of words[i]. */
+/* Words that JSON may contain instead of an object. set: sets every row to the values of
+ * words[i]. */
 struct mo_fields_words {
   const char *const *words; /* NULL after the last */
   void (*set)(void *settings, int i);
@@ -116,7 +117,7 @@ void mo_fields_compare(const struct mo_fields *fields, const char *above, const 
                        void *context);
 
 /* Checks all settings against their bounds. MO_ERR_INVALID (not finite, not one of the words) or
- * MO_ERR_RANGE for the first invalid one; `message` has its name, value and bounds. above: the
+ * MO_ERR_RANGE for the first invalid one; `message` states its name, value and bounds. above: the
  * struct's name in messages, as in "schedule.peak …"; "": none. */
 int mo_fields_check(const struct mo_fields *fields, const char *above, const void *settings,
                     struct mo_message *message);
@@ -138,7 +139,7 @@ void mo_fields_pack(const struct mo_fields *fields, unsigned version, const void
  * invalid value. */
 bool mo_fields_unpack(const struct mo_fields *fields, unsigned version, const uint8_t *bytes,
                       void *settings);
-/* Returns the first version, at least 1, that has all rows with values other than their
+/* Returns the first version, at least 1, that includes all rows whose values differ from their
  * defaults. */
 unsigned mo_fields_version(const struct mo_fields *fields, const void *settings,
                            const void *defaults);

@@ -1,7 +1,8 @@
 /* files.h: reading at an offset, and the system calls that change files.
  *
- * Those are in a table, so that tests can simulate a disk, as they do for SQLite with a VFS. The
- * store's lock and reserve do not use it, because they have no meaningful content. */
+ * These calls are in a table, so that tests can simulate a disk, as they do for SQLite with a VFS.
+ * The store's lock file and reserve file do not use the table, because their content has no
+ * meaning. */
 #ifndef MORPHO_BASE_FILES_H
 #define MORPHO_BASE_FILES_H
 
@@ -9,7 +10,8 @@
 #include <stdint.h>
 #include <sys/types.h>
 
-/* Each behaves like the system call of its name: −1 and errno on failure. Called from any
+/* Each function behaves like the system call with its name: −1 and errno on failure. Called from
+ * any
  * thread. */
 struct mo_file_operations {
   int (*open)(const char *path, int flags, ...); /* also opens folders, to sync them */

@@ -1,9 +1,9 @@
 /* json.h: a strict JSON reader (RFC 8259) that reads the text in place, without building a tree.
  *
  * It reads a request of 32 MiB in one pass: the caller asks for the values that it expects.
- * Anything else becomes a fault with the JSON pointer of its place. A syntax error stops the
- * reading (400). A value of the wrong kind or range adds a fault (422) and is skipped, and reading
- * continues, so that a client gets many faults at once.
+ * Anything else becomes a fault with the JSON pointer of its location. A syntax error ends reading
+ * (400). A value of the wrong kind or range adds a fault (422) and is skipped, and reading
+ * continues, so that a client receives many faults at once.
  *
  * Strict means: UTF-8 only, no byte-order mark, no NaN or Infinity, no leading zeros, no lone
  * surrogates, no repeated key in an object, no trailing data, at most MO_JSON_DEPTH_MAX levels and
@@ -59,8 +59,8 @@ struct mo_json {
   char key[MO_JSON_KEY_BYTES]; /* decoded; never longer than in the text */
 };
 
-/* Starts reading `size` bytes; text[size] must be readable and NUL. The reader takes 70 kB, so do
- * not put it on a small stack. */
+/* Starts reading `size` bytes; text[size] must be readable and NUL. A reader takes 70 kB, so do not
+ * put one on a small stack. */
 void mo_json_start(struct mo_json *json, const char *text, size_t size, struct mo_faults *faults);
 /* Ends reading. Returns whether the whole text was read without a syntax error; there may be other
  * faults. */
@@ -78,7 +78,7 @@ bool mo_json_string(struct mo_json *json,
 bool mo_json_text(struct mo_json *json, struct mo_json_slice *value);
 bool mo_json_bool(struct mo_json *json, bool *value);
 bool mo_json_number(struct mo_json *json, double *value); /* finite */
-/* Reads a whole number in min … max, judged by its digits: 3.0 and 3e0 count as 3,
+/* Reads a whole number in min … max, judged by its digits: 3.0 and 3e0 count as 3, but
  * 3.00000000000000000001 is not whole. */
 bool mo_json_integer(struct mo_json *json, int64_t min, int64_t max, int64_t *value);
 /* Reads a finite number in min … max. */

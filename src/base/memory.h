@@ -10,8 +10,8 @@
  * or if out of memory; never NULL for a product of 0. Release it with free(). */
 void *mo_alloc_aligned(size_t count, size_t size);
 
-/* Allocates count × size bytes, zeroed, as pages of their own, which mo_pages_free (with the same
- * numbers; NULL-safe) returns to the system at once: malloc may keep megabytes that were freed.
+/* Allocates count × size bytes, zeroed, in separate pages. mo_pages_free (with the same numbers;
+ * NULL-safe) returns them to the system at once, whereas malloc may keep megabytes of freed memory.
  * Returns NULL on overflow or if out of memory. */
 void *mo_pages_alloc(size_t count, size_t size);
 void mo_pages_free(void *memory, size_t count, size_t size);

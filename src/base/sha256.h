@@ -1,5 +1,5 @@
-/* sha256.h: SHA-256, which identifies everything that is stored by content, and checks what is
- * sent. */
+/* sha256.h: SHA-256, which identifies everything that is stored by content, and protects data in
+ * transfer. */
 #ifndef MORPHO_BASE_SHA256_H
 #define MORPHO_BASE_SHA256_H
 
@@ -14,7 +14,7 @@ struct mo_sha256 {
 };
 
 void mo_sha256_of(const void *data, size_t size, struct mo_sha256 *hash);
-/* Hashes two pieces, as if they were one. */
+/* Hashes two pieces as if they were one. */
 void mo_sha256_of_both(const void *first, size_t first_size, const void *second, size_t second_size,
                        struct mo_sha256 *hash);
 /* Writes a hash in lower case; returns `digits`. */

@@ -44,8 +44,8 @@ int mo_hex_digit(char c);
 
 /* ---- the growing text ---- */
 
-/* After a failed allocation, `failed` is set and later calls do nothing. So writers check it only
- * once, at the end. */
+/* After a failed allocation, `failed` is set and later calls do nothing. Writers therefore check it
+ * only once, at the end. */
 struct mo_text {
   char *data; /* malloc; a NUL follows the last byte if size > 0; ownership may be transferred */
   size_t size, capacity;

@@ -8,13 +8,13 @@
 #include <stdint.h>
 
 /* Identifies the work that this thread does, for example by a job's id; −1: none. mo_parallel
- * passes it on to its threads. Signal handlers may read it. It is __thread because C++ has that as
- * well. */
+ * passes it on to its threads. Signal handlers may read it. It is __thread, not _Thread_local,
+ * because C++ supports __thread as well. */
 extern __thread volatile int64_t mo_thread_tag;
 
-/* Starts a thread like pthread_create. The thread blocks all signals except the signals for its own
- * faults, because a blocked fault would kill the process before a handler can record the work.
- * name: up to 15 characters, or NULL. */
+/* Starts a thread like pthread_create. The thread blocks all signals except those that its own
+ * faults raise, because a blocked fault would kill the process before a handler can record the
+ * work. name: up to 15 characters, or NULL. */
 int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *context),
                      void *context);
 

@@ -1,5 +1,5 @@
-/* words.h: closed lists of words, such as the names of an enumeration, and human-readable text. A
- * list is an array that ends with NULL. */
+/* words.h: closed lists of words, such as the names of an enumeration, and text for people. A list
+ * is an array that ends with NULL. */
 #ifndef MORPHO_BASE_WORDS_H
 #define MORPHO_BASE_WORDS_H
 

@@ -56,8 +56,8 @@ struct mo_device_info {
   uint32_t capability; /* 90: compute capability 9.0 */
 };
 
-/* Computes outcomes of rows, by the tasks of their environments. All pointers are borrowed for the
- * call. */
+/* Computes the outcomes of rows, according to the tasks of their environments. All pointers are
+ * borrowed for the call. */
 struct mo_device_score {
   struct mo_device_controller *controller; /* NULL: passive bodies */
   const struct mo_robot
@@ -111,7 +111,7 @@ struct mo_device_module {
   /* Lays out the rows of a later gradient, for this device and others like it, so that its call
    * starts sooner. The robots must not change until that call. *layout: NULL, or a layout that no
    * call uses any longer; its memory is reused. Errors as in `gradient`, except MO_ERR_DEVICE.
-   * After an error, an existing layout remains, but has no robots. */
+   * After an error, an existing layout remains allocated, but contains no robots. */
   int (*lay_out)(const struct mo_device *device, const struct mo_robot *robots, uint32_t n,
                  const struct mo_physics *physics, struct mo_device_layout **layout);
   void (*layout_free)(struct mo_device_layout *layout); /* before its device is closed; NULL-safe */

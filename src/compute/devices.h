@@ -57,7 +57,7 @@ struct mo_caller {
   bool has_thread;
   enum mo_caller_state {
     MO_CALLER_IDLE = 0,
-    MO_CALLER_ASKS, /* for the device's free memory */
+    MO_CALLER_ASKS, /* asks for the device's free memory */
     MO_CALLER_GETS, /* the gatherer fills its chunk */
     MO_CALLER_READY,
     MO_CALLER_RUNS,
@@ -73,7 +73,7 @@ enum { MO_CALLERS = 2 };
 struct mo_unit {
   struct mo_devices *devices;
   struct mo_caller callers[MO_CALLERS];
-  uint32_t n_callers;              /* that may be used at present */
+  uint32_t n_callers;              /* number that may be used at present */
   struct mo_device_status status;  /* busy_s and load: as of changed_ns */
   uint64_t changed_ns, charged_ns; /* charged: shares are charged for the device up to this time */
   bool wants_info;                 /* free memory was requested: read it */
@@ -102,7 +102,7 @@ struct mo_devices {
   struct mo_fair fair;
   pthread_cond_t wake;
   struct mo_compute_share own, urgent; /* for blocks without a share; for interactive blocks */
-  const struct mo_compute_share *last; /* share of the last chunk taken; compared, never
+  const struct mo_compute_share *last; /* share of the last chunk taken; only compared, never
                                           dereferenced */
   bool stopping;
   uint32_t tasks_waiting; /* gradients */

@@ -6,14 +6,14 @@
  * takes the next block of the share with the least virtual time; the share created first wins a
  * tie. The cost of a block is known only at its end, and other workers choose before that. So a
  * share is charged an estimate when its block starts (the share's mean cost per rollout step of
- * such blocks), and the difference when the block ends.
+ * this kind of block), and the difference when the block ends.
  *
- * The queue's own virtual time is the largest at which a block was started. A share that had an
+ * The queue's own virtual time is the largest one at which a block was started. A share that had an
  * empty queue continues from its own virtual time, but at most MO_FAIR_CREDIT_S of worker time per
- * worker behind the queue's. So short gaps (between two steps of a training run or two refills of a
- * window) cost a share nothing, and a long idle time earns it nothing. A share that is ahead stays
- * ahead. The same rule limits a share that cannot use its part because it never has enough
- * blocks. */
+ * worker behind the queue's. Therefore, short gaps (between two steps of a training run or two
+ * refills of a window) cost a share nothing, and a long idle time earns it nothing. A share that is
+ * ahead stays ahead. The same rule limits a share that cannot use its time because it never has
+ * enough blocks. */
 #ifndef MORPHO_COMPUTE_FAIR_H
 #define MORPHO_COMPUTE_FAIR_H
 
@@ -23,7 +23,7 @@
 
 enum mo_fair_kind { MO_FAIR_SCORING, MO_FAIR_GRADIENT, MO_FAIR_KINDS };
 
-/* First in, first out. Changed under the mutex of the back end; `n` is read anywhere. */
+/* First in, first out. Changed under the mutex of the back end; `n` may be read without it. */
 struct mo_block_queue {
   struct mo_block *first, *last;
   atomic_uint_fast64_t n;
@@ -95,14 +95,14 @@ struct mo_fair_charge {
 typedef bool mo_fair_fits(const struct mo_block *block, void *context);
 
 void mo_fair_init(struct mo_fair *fair, uint32_t n_workers);
-/* These three take the mutex. */
+/* The next three functions take the mutex. */
 void mo_fair_add(struct mo_fair *fair, struct mo_compute_share *share, double weight);
 void mo_fair_remove(struct mo_fair *fair, struct mo_compute_share *share);
 /* Sets the weight. The share's lead or debt stays the same in worker seconds: an old debt does not
  * grow with the weight. */
 void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, double weight);
 
-/* Call these under the mutex. */
+/* Call the following functions under the mutex. */
 void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block);
 /* Returns the share that is next, among the shares whose first block fits, or NULL if there is
  * none. */
@@ -123,8 +123,8 @@ struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share
  * NULL if none is waiting, or it does not fit. */
 struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *charge,
                                    mo_fair_fits *fits, void *context);
-/* Puts blocks of a charge back at the front of its share, in order, and reverses the charge. For
- * part of a charge, `charge` holds the charge of these blocks. */
+/* Puts blocks of a charge back at the front of its share, in order, and reverses the charge. If
+ * only some of the blocks are put back, `charge` is the part of the charge that belongs to them. */
 void mo_fair_put_back(struct mo_fair *fair, const struct mo_fair_charge *charge,
                       struct mo_block *const *blocks);
 /* Returns the number of rollout steps; the cost of a block is roughly proportional to it. */

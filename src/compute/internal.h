@@ -24,7 +24,8 @@ struct mo_devices;
 struct mo_fair;
 struct mo_offer;
 struct mo_rates;
-/* The first member of a back end, which files called by cpu.c can read without calling cpu.c. */
+/* The first member of a back end. Files that cpu.c calls can read it without calling cpu.c
+ * themselves. */
 struct mo_compute_core {
   enum mo_isa isa;
   uint32_t n_workers;

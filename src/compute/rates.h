@@ -1,4 +1,4 @@
-/* rates.h: sums the time that computing has taken since the start, by kind of work.
+/* rates.h: sums the computing time since the start, by kind of work.
  *
  * Clients estimate from the sums how long more work of the same kind will take. Times do not affect
  * any result. */

@@ -1,8 +1,8 @@
 /* shards.h: the shards of a gradient while it is computed, by the workers or by remote takers.
  *
  * The calling thread claims the first unassigned shard and gives its blocks to the workers; remote
- * takers take shards in the same order. So both get work at the rates at which they compute. A
- * taker that finds nothing else takes a shard that the workers are already computing: the first
+ * takers take shards in the same order. Both therefore get work at the rates at which they compute.
+ * A taker that finds nothing else takes a shard that the workers are already computing: the first
  * result counts, and the bits are the same. Shards that takers return repeatedly are left to the
  * workers.
  *
@@ -25,7 +25,7 @@ struct mo_shard_result *mo_shard_result_create(size_t n_parameters);
 struct mo_shard {
   struct mo_gradient_batch part; /* constant: its robots, in order */
   bool is_here, is_taken;        /* the workers are computing it; a taker has it */
-  uint32_t n_returned;           /* how often takers returned it */
+  uint32_t n_returned;           /* number of times that takers returned it */
   bool is_refused;               /* takers cannot compute it */
   atomic_bool stop;              /* it is done or no longer needed; read anywhere */
   struct mo_shard_result *result;
@@ -54,15 +54,15 @@ int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute, enum mo_ba
                   const struct mo_gradient_batch *batch, const uint32_t *order, double weight);
 /* Returns the number of the next shard for the workers. MO_ERR_EXHAUSTED: there is none. */
 int mo_offer_claim(struct mo_offer *offer);
-/* Delivers the workers' result of a shard. If a taker was faster, *result is not consumed. */
+/* Delivers the workers' result of a shard. If a taker was faster, *result remains the caller's. */
 void mo_offer_finish(struct mo_offer *offer, uint32_t number, struct mo_shard_result **result);
 /* Takes the result of a shard, which the caller frees. Returns NULL if it is not done yet. */
 struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number);
-/* Waits for the result of a shard, for any other change, or for 50 ms, because cancellation and the
- * arrival and departure of takers do not wake it. */
+/* Waits for the result of a shard or for any other change, at most 50 ms, because cancellation and
+ * the arrival and departure of takers do not wake it. */
 void mo_offer_wait(struct mo_offer *offer, uint32_t number);
-/* Returns the error of shards for takers only. MO_ERR_UNSUPPORTED: takers cannot compute a shard;
- * MO_ERR_DEVICE: takers return a shard repeatedly. */
+/* Returns the error of shards that only takers compute. MO_ERR_UNSUPPORTED: takers cannot compute a
+ * shard; MO_ERR_DEVICE: takers return a shard repeatedly. */
 int mo_offer_error(struct mo_offer *offer);
 void mo_offer_stop(struct mo_offer *offer); /* no shard is needed any longer; call it before
                                                close */

@@ -1,8 +1,8 @@
-/* tape.h: the reference forward pass in float64, which keeps the values that its derivative needs
- * (the tape), and the backward pass.
+/* tape.h: the reference forward pass in float64, which keeps the values that the backward pass
+ * needs (the tape), and the backward pass.
  *
  * The gradient of the parameters is computed for several passes at once (mo_controller_accumulate),
- * so that a row of the gradient is fetched once for all of them. */
+ * so that each row of the gradient is fetched from memory once for all passes. */
 #ifndef MORPHO_CONTROLLER_TAPE_H
 #define MORPHO_CONTROLLER_TAPE_H
 

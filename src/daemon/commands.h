@@ -1,5 +1,5 @@
 /* commands.h: the commands of morphod other than the service. Each receives the whole command line,
- * where argv[1] is its name, and returns the exit status. */
+ * in which argv[1] is the name of the command, and returns the exit status. */
 #ifndef MORPHO_DAEMON_COMMANDS_H
 #define MORPHO_DAEMON_COMMANDS_H
 

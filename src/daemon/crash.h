@@ -1,4 +1,4 @@
-/* crash.h: handles a fault of the process itself.
+/* crash.h: handles crashes of the process itself.
  *
  * A handler of SIGSEGV, SIGBUS, SIGFPE, SIGILL and SIGABRT writes the job that the faulting thread
  * was computing into a marker file that was opened beforehand, reports the crash on standard error,

@@ -16,7 +16,7 @@ int devices_parse(const struct setting_list *list, struct device_choice *choice,
                   struct mo_message *message);
 
 /* Adds the devices of the settings (module nullable); call it before any other use of the back end.
- * If the settings do not list a device or module, a machine without either is not an error: this is
+ * If the settings do not list a device or module, a missing module or device is not an error: it is
  * logged, and the CPUs compute. MO_ERR_INVALID: the settings list a missing device or module, or
  * the module has a different version. */
 int devices_open(struct mo_compute *compute, const struct setting_list *devices, const char *module,

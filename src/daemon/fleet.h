@@ -14,7 +14,7 @@ struct fleet_certificate {
   char *certificate, *key;
 };
 /* Reads both and checks that they match. Leaves NULL if they are not set. MO_ERR_INVALID: the
- * message has the name of the setting; MO_ERR_NO_MEMORY. On failure there is nothing to free. */
+ * message names the setting; MO_ERR_NO_MEMORY. On failure there is nothing to free. */
 int fleet_certificate_read(const struct settings *settings, struct fleet_certificate *pair,
                            struct mo_message *message);
 /* Wipes and frees the texts. */

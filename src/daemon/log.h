@@ -53,9 +53,10 @@ void log_open(enum log_format format, enum log_level level);
 /* Starts a thread that writes the lines; until then, they are written immediately. Returns 0, or −1
  * if the thread cannot be created. */
 int log_start(void);
-/* Waits at most `timeout_ms` until everything is written; later lines are kept and not written. */
+/* Waits until everything is written, at most `timeout_ms`. Later lines are queued, but not
+ * written. */
 void log_stop(int timeout_ms);
-/* For signal handlers that end the process: gives the thread a moment for pending lines, then
+/* For signal handlers that end the process: gives the thread a moment to write pending lines, then
  * writes `text` if standard error accepts it. */
 void log_last_words(const char *text, size_t n);
 /* Returns the number of lines since the start that did not reach standard error. */

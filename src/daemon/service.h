@@ -17,7 +17,7 @@
 #define GENERALIST_CONTROLLER MORPHOD_DATADIR "/controllers/generalist-16ms.safetensors"
 #define ROBUST_CONTROLLER     MORPHOD_DATADIR "/controllers/robust-16ms.safetensors"
 
-/* Exit statuses (morphod(8)), numbered as in sysexits.h. */
+/* Exit statuses (see morphod(8)), numbered as in sysexits.h. */
 enum exit_status {
   EXIT_OK = 0,
   EXIT_USAGE = 64,
@@ -59,13 +59,14 @@ bool service_is_idle(struct service *service);
 bool service_is_learning(struct service *service);
 
 /* Returns whether scheduler, writer and HTTP each completed a round within `limit_us`. *who is the
- * name of one that did not. */
+ * name of one of them that did not. */
 bool service_is_alive(struct service *service, int64_t limit_us, const char **who);
 
 /* Parks running jobs, answers waiting requests, and closes everything. */
 void service_stop(struct service *service);
 
-/* Logs how many jobs were deleted by age since the last call, and that the clock is not credible.
+/* Logs how many jobs were deleted by age since the last call, and warns if the clock is not
+ credible.
  */
 void service_report_expiry(struct service *service);
 /* Writes a short summary of the activity, for STATUS= and the log. */

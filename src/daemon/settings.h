@@ -80,7 +80,7 @@ struct setting {
   uint64_t min, max;         /* numbers, sizes, durations (milliseconds) */
   const char *initial;       /* default, as written in the file */
   const char *initial_words; /* default in words if `initial` cannot express it; else NULL */
-  const char *choices;       /* SETTING_CHOICE: names separated by '|' */
+  const char *choices;       /* SETTING_CHOICE: words separated by '|' */
   const char *help;          /* one or two sentences for people */
 };
 

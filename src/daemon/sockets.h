@@ -22,11 +22,11 @@ struct sockets {
 int sockets_add(struct sockets *sockets, int fd, const char *address, struct mo_message *message);
 /* Changes http to https in the addresses. */
 void sockets_use_tls(struct sockets *sockets);
-/* Gives up the sockets: their new owner has closed them, or will. */
+/* Gives up the sockets, because their new owner has closed them or will do so. */
 void sockets_hand_over(struct sockets *sockets);
-/* Closes the sockets that were not handed over, and removes unix sockets. Call it while those still
- * listen: later, the path may belong to the next process, which found these sockets without a
- * server. */
+/* Closes the sockets that were not handed over, and removes unix sockets. Call it while they still
+ * listen: after that, the next process may find a unix socket without a server and take over its
+ * path. */
 void sockets_close(struct sockets *sockets);
 
 #endif

@@ -7,7 +7,7 @@
 
 #define MO_KIND_ROWS_MAX 8
 
-/* Rows that only one kind, or several kinds, have. */
+/* Rows that belong to one kind, or to several kinds. */
 struct mo_kind_rows {
   size_t from, n;
 };

@@ -13,14 +13,16 @@
 
 #define MO_ARCHIVE_TYPE       "application/zstd"
 #define MO_ARCHIVE_NAME_BYTES 100                /* of a member, with its NUL */
-#define MO_ARCHIVE_MEMBER_MAX ((size_t)64 << 20) /* bytes in a member */
+#define MO_ARCHIVE_MEMBER_MAX ((size_t)64 << 20) /* bytes of a member */
 #define MO_ARCHIVE_MEMBERS    200000
-#define MO_ARCHIVE_RATIO      200 /* mean size that one byte of the archive may unpack to, */
-#define MO_ARCHIVE_FREE       MO_ARCHIVE_MEMBER_MAX /* but this many bytes are always allowed */
+#define MO_ARCHIVE_RATIO                                                                           \
+  200 /* number of bytes that one byte of the archive may unpack to, on                            \
+         average, */
+#define MO_ARCHIVE_FREE MO_ARCHIVE_MEMBER_MAX /* but this many bytes are always allowed */
 
 struct mo_archive_writer;
 struct mo_archive_writer *mo_archive_create(void); /* Returns NULL if memory runs out. */
-/* Adds a member. Appends the finished part of the archive to `out`, which may be nothing. */
+/* Adds a member. Appends the part of the archive that is finished, possibly nothing, to `out`. */
 int mo_archive_add(struct mo_archive_writer *writer, const char *name, const void *bytes,
                    size_t size, struct mo_text *out);
 /* Adds SHA256SUMS and appends the rest. MO_ERR_LIMIT: the archive is compressed so strongly that no
@@ -37,7 +39,7 @@ struct mo_archive_member {
 struct mo_archive_reader;
 /* Reads an archive in memory, which must stay valid. Returns NULL if memory runs out. */
 struct mo_archive_reader *mo_archive_open(const void *bytes, size_t size);
-/* Reads the next member. Returns 1, or 0 after the last one: then the archive is complete, and
+/* Reads the next member. Returns 1, or 0 after the last one: the archive is then complete, and
  * SHA256SUMS matches. MO_ERR_FORMAT: it is not an archive, it is damaged, or it ends early.
  * MO_ERR_NO_MEMORY. */
 int mo_archive_next(struct mo_archive_reader *reader, struct mo_archive_member *member,

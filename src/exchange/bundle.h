@@ -8,8 +8,8 @@
 
 #define MO_BUNDLE_VERSION  2
 #define MO_BUNDLE_ROLLOUTS 40000 /* recorded; up to MO_CHANNELS members each */
-/* Sizes of parts: the number of designs, of designs with scores, or of steps; and the size at which
- * a part of generations gets no more lines. */
+/* Sizes of parts: the number of designs, of designs with scores, or of steps; and the size in bytes
+ * at which a part of generations gets no more lines. */
 #define MO_BUNDLE_PART_ROWS  1000
 #define MO_BUNDLE_PART_BYTES 1000000
 
@@ -87,7 +87,7 @@ struct mo_bundle_export;
 /* ids: (n) ascending; takes ownership. Returns NULL if memory runs out. */
 struct mo_bundle_export *mo_bundle_export_create(struct mo_store *store, const char *program,
                                                  int64_t *ids, uint32_t n, bool with_recordings);
-int mo_bundle_export_more(void *context, struct mo_text *text); /* a mo_download_more */
+int mo_bundle_export_more(void *context, struct mo_text *text); /* of type mo_download_more */
 void mo_bundle_export_free(void *context);
 /* Describes a stored campaign in the same way as its bundle. MO_ERR_CONFLICT: it has not ended. */
 int mo_bundle_describe(struct mo_store *store, int64_t id, struct mo_campaign_status *status,

@@ -42,7 +42,7 @@ int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, 
 int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_t size,
                           struct mo_campaign_design *design, struct mo_message *message);
 /* members: (room); *n: the number of members read. held_out: (MO_ELITE_MAX); *n_held_out: likewise.
- * Leaves row->held_out empty. */
+ * Does not fill in row->held_out. */
 int mo_bundle_read_generation(struct mo_bundle_lines *lines, const char *line, size_t size,
                               struct mo_campaign_generation *row,
                               struct mo_campaign_member *members, uint32_t room, uint32_t *n,

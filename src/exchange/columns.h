@@ -1,4 +1,5 @@
-/* columns.h: rows of numbers as JSON, written from their list of columns (store/columns.h). */
+/* columns.h: rows of numbers as JSON, written according to their list of columns
+ * (store/columns.h). */
 #ifndef MORPHO_EXCHANGE_COLUMNS_H
 #define MORPHO_EXCHANGE_COLUMNS_H
 

@@ -26,21 +26,21 @@ void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint
 void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number);
 extern const struct mo_field_own mo_hash_field; /* a struct mo_sha256 */
 
-/* Writes the value that a task has at a loss, and its unit, as members; nothing for a plain
- * task. */
+/* Writes the value that corresponds to a loss in a task, and its unit, as members; nothing for a
+ * plain task. */
 void mo_members_value(struct mo_text *text, const struct mo_task *task, double loss);
-/* The measures of n rollouts of a design, to be written. */
+/* The measures of n rollouts of a design, as input of mo_members_losses. */
 struct mo_measured {
   uint32_t set;         /* as bits: the measures that were requested */
   const double *values; /* (n, measures of the set); NaN: null */
   const uint8_t *flags; /* (n) bits of enum mo_measure_flag */
   bool has_means;       /* the means are written elsewhere */
 };
-/* Writes losses as the member "losses". environments (nullable): if one of them has a task that is
- * not plain, or with measures, each loss becomes an object with its value and unit; and if all
- * units are the same, "value", the mean of the values, and "unit" follow. measured (nullable): each
- * object has "measures" and "flags", too, and the means and all flags follow; a mean is null if one
- * of its numbers is. */
+/* Writes losses as the member "losses". If an environment (nullable) has a task that is not plain,
+ * or if `measured` is given, each loss becomes an object with its value and unit; if all units are
+ * the same, the mean of the values and the unit follow as members "value" and "unit". With
+ * `measured` (nullable), each object also contains "measures" and "flags", and the means of the
+ * measures and the flags of all rollouts follow; a mean is null if one of its numbers is null. */
 void mo_members_losses(struct mo_text *text, const double *losses, size_t n,
                        const struct mo_environment *environments,
                        const struct mo_measured *measured);

@@ -15,12 +15,13 @@ struct mo_after {
   bool is_put_back[2], is_emptied[2]; /* by back end; is_emptied: its last session ended */
 };
 
-/* Blocks are put back into the source, or get their results; rows must live until mo_after_run. */
+/* Puts blocks back into the source, or delivers their results; the rows must live until
+ * mo_after_run. */
 void mo_after_put_back(struct mo_after *after, struct mo_parcel *parcel);
 void mo_after_deliver(struct mo_after *after, struct mo_parcel *parcel,
                       const struct mo_remote_result *result);
-/* Without memory, these two do nothing. That is harmless: sessions also look for orders and work
- * without being woken, and the counters still show what happened. */
+/* If memory runs out, these two functions do nothing. That is harmless: sessions also look for
+ * orders and work without being woken, and the counters still show what happened. */
 void mo_after_wake(struct mo_after *after, uint64_t session);
 /* data: a JSON object without its closing brace, so that more members can be added. Takes ownership
  * of the text. An event has room for 511 bytes, so use mo_event_member for names and reasons that

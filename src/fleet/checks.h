@@ -12,8 +12,8 @@
 
 /* Call all functions with the lock held. */
 
-/* Decides what happens to a lease after its blocks got the rows of a session's result: an audit, a
- * check by the sessions that still hold it, or nothing more. May free the lease. */
+/* Decides what happens to a lease after its blocks received the rows of a session's result: an
+ * audit, a check by the sessions that still hold it, or nothing more. May free the lease. */
 void mo_check_begin(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_session *session,
                     const struct mo_wire_result *result, uint64_t now_ns, struct mo_after *after);
 /* Compares another result. May free the lease. */

@@ -1,5 +1,5 @@
 /* content.h: the content of a lease as it is sent to a worker, made from taken blocks. It is a copy
- * and outlives the blocks, so that a lease can be given out a second time after its first
+ * and outlives the blocks, so that a lease can be given to a second session after its first
  * result. */
 #ifndef MORPHO_FLEET_CONTENT_H
 #define MORPHO_FLEET_CONTENT_H

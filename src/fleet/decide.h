@@ -5,8 +5,8 @@
 
 #include "fleet/checks.h"
 
-/* Call it with the lock held. Decides a dispute whose block is computed, and begins the next
- * one. */
+/* Call it with the lock held. Decides the dispute whose block has been computed, and begins the
+ * next one. */
 void mo_decide_tick(struct mo_fleet *fleet, uint64_t now_ns, struct mo_after *after);
 /* Cancels the block that is being computed, and waits for its thread. */
 void mo_decide_end(struct mo_fleet *fleet);

@@ -11,13 +11,13 @@ struct mo_session_status {
   bool is_older;                          /* its version is older than this program's */
   char why[128];                          /* why it ended or was refused; "": it is working */
   uint64_t joined_ns, heard_ns, ended_ns; /* ended_ns: 0 if open */
-  uint32_t leases, rows_out;              /* held at the moment */
+  uint32_t leases, rows_out;              /* held at present */
   double rows_per_s;                      /* over about the last ten leases */
   double busy_s;
   uint64_t leases_done, leases_lost, rows_done, audits, audits_failed;
 };
 struct mo_fleet_status {
-  uint32_t n_sessions, n_threads, n_devices; /* that are open */
+  uint32_t n_sessions, n_threads, n_devices; /* of open sessions */
   uint32_t n_older;                          /* open sessions with an older version */
   uint32_t n_serving[2];                     /* active sessions, by enum mo_back_end */
   uint32_t leases, rows_out;

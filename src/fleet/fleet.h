@@ -2,8 +2,8 @@
  *
  * A worker opens a session. It takes leases, which are blocks from the fair queue of its class, and
  * returns their rows. Leases exist only in memory, so they are recomputed after a restart of the
- * daemon. A session that leaves, is silent, or is too slow with a lease loses the lease, which is
- * then given to another session. The first result counts, and later ones are compared with it.
+ * daemon. If a session leaves, is silent, or takes too long for a lease, the lease is given to
+ * another session. The first result counts, and later ones are compared with it.
  *
  * This room does not depend on HTTP or SQL. Time is the argument `now_ns` (from mo_clock_ns), so
  * that tests can set the clock. All functions may be called from any thread. */
@@ -81,9 +81,9 @@ struct mo_fleet_offer {
     struct mo_sha256 canary;
   } classes[2]; /* by enum mo_back_end */
 };
-/* Opens a session. Returns its id, unguessable, 1 to 10^18. MO_ERR_UNSUPPORTED: this daemon has
- * none of its classes; MO_ERR_CONFLICT: a wrong canary (the message has both hashes);
- * MO_ERR_LIMIT. */
+/* Opens a session. Returns its id, an unguessable number from 1 to 10^18. MO_ERR_UNSUPPORTED: this
+ * daemon serves none of its classes; MO_ERR_CONFLICT: a wrong canary (the message contains both
+ * hashes); MO_ERR_LIMIT. */
 int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer, uint64_t now_ns,
                       struct mo_message *message);
 /* Returns whether a session is open and was opened with this user's token. */
@@ -102,16 +102,18 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t session, const uint8_t *u
 /* Orders that a session gets from its watch request: leases to drop, and whether to continue. */
 struct mo_fleet_orders {
   enum mo_session_state state;
-  char wanted[32]; /* if draining: the version that its worker should be restarted with; "": none */
+  char wanted[32]; /* if draining: the version with which its worker should be restarted; "":
+                      none */
   uint32_t n_dropped;
   struct mo_lease_id dropped[16];
 };
-/* Reads the orders since the last call, which also counts as a heartbeat. Returns 1 if there are
- * some, otherwise 0. MO_ERR_NOT_FOUND. */
+/* Reads the orders since the last call; a call also counts as a heartbeat. Returns 1 if there are
+ * any, otherwise 0. MO_ERR_NOT_FOUND. */
 int mo_fleet_orders(struct mo_fleet *fleet, uint64_t session, uint64_t now_ns,
                     struct mo_fleet_orders *orders);
 /* Returns the weights that a lease uses: the file with this SHA-256, valid until it is released.
- * MO_ERR_NOT_FOUND; MO_ERR_BUSY: no current lease uses it, and slow readers keep too many files. */
+ * MO_ERR_NOT_FOUND; MO_ERR_BUSY: no current lease uses it, and slow readers already hold too many
+ * files. */
 struct mo_fleet_file {
   struct mo_fleet *fleet;
   const uint8_t *bytes;

@@ -8,11 +8,11 @@
 /* Makes a lease of taken blocks. Call it without the lock; the lease is not in the table yet. Takes
  * ownership of the content. On MO_ERR_NO_MEMORY (NULL), nothing was taken. */
 struct mo_lease *mo_lease_create(struct mo_taken *taken, struct mo_wire_lease *content);
-/* Assigns a number to the lease and puts it into the table. Takes over one use of the weights.
- * NULL: passive bodies. */
+/* Assigns a number to the lease and puts it into the table. Takes over one use of the weights
+ * (NULL: passive bodies). */
 void mo_lease_insert(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_weights *weights);
 struct mo_lease *mo_lease_find(struct mo_fleet *fleet, uint64_t number); /* NULL: not found */
-/* Assigns a new number to a lease, so that no session has the current number. */
+/* Assigns a new number to a lease, so that no session knows its number. */
 void mo_lease_renumber(struct mo_fleet *fleet, struct mo_lease *lease);
 
 /* Returns the index of a session's hold, or MO_ERR_NOT_FOUND. */
@@ -25,15 +25,15 @@ void mo_lease_hold(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_ses
 /* Ends a hold, and does nothing else. */
 void mo_lease_unhold(struct mo_lease *lease, uint32_t place);
 /* Ends a hold without a result. If it was the last hold, the work is put back, and an audit returns
- * to the list. A lease with a body that was lost too often ends even if other sessions hold it.
- * is_lost: the session ended while it held the lease, or failed. Returns false if the lease was
- * freed. */
+ * to the list. A lease with a body for which too many sessions were lost ends even if other
+ * sessions hold it. is_lost: the session ended while it held the lease, or failed. Returns false if
+ * the lease was freed. */
 bool mo_lease_release(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t place, bool is_lost,
                       uint64_t now_ns, struct mo_after *after);
 /* Orders a session to drop a lease. */
 void mo_lease_drop(const struct mo_lease *lease, struct mo_session *session,
                    struct mo_after *after);
-/* Lists the lease for the next session, or removes it from that list. */
+/* Lists the lease for the next session, or removes it from the list. */
 void mo_lease_list(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t now_ns,
                    struct mo_after *after);
 void mo_lease_unlist(struct mo_fleet *fleet, struct mo_lease *lease);

@@ -4,8 +4,8 @@
 
 #include "fleet/sessions.h"
 
-/* Call it with the lock held. Returns whether a message has a result that mo_results_take would
- * count or deliver. */
+/* Call it with the lock held. Returns whether a message contains a result that mo_results_take
+ * would count or deliver. */
 bool mo_results_count(struct mo_fleet *fleet, const struct mo_session *session,
                       const struct mo_wire_results *results);
 /* Call it with the lock held. Takes all results of a message, or none. MO_ERR_FORMAT: rows do not

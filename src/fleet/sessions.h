@@ -13,7 +13,7 @@ void mo_session_release(struct mo_fleet *fleet, struct mo_session *session, bool
 /* Stops giving leases to a session. */
 void mo_session_drain(struct mo_fleet *fleet, struct mo_session *session, const char *why,
                       struct mo_after *after);
-/* Ends a session: its leases go back, and it moves to the ended ones (MO_SESSION_LEFT,
+/* Ends a session: puts its leases back, and moves it to the list of ended ones (MO_SESSION_LEFT,
  * MO_SESSION_LOST). A refused session keeps its state and creates no event. */
 void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_session_state state,
                     const char *why, uint64_t now_ns, struct mo_after *after);

@@ -21,10 +21,10 @@ struct mo_fleet_source {
                   const struct mo_remote_result *result);
   void (*want)(struct mo_compute *compute, enum mo_back_end back_end, uint32_t blocks);
   uint64_t (*waiting)(struct mo_compute *compute, enum mo_back_end back_end);
-  /* Computes a lease of one block in this process, to decide which of two sessions gave wrong bits.
-   * weights: the file of its controller; NULL: passive bodies. Rows as in a result; measures: of a
-   * lease that has them, else unchanged. *cancel ends it early. NULL: disputes are not decided.
-   * Returns MO_OK or an error. */
+  /* Computes a lease of one block in this process, to decide which of two sessions returned wrong
+   * bits. weights: the file of its controller; NULL: passive bodies. Writes rows as in a result,
+   * and measures if the lease has them. Setting *cancel ends it early. NULL: disputes are not
+   * decided. Returns MO_OK or an error. */
   int (*recompute)(struct mo_compute *compute, struct mo_workspace workspace,
                    const struct mo_wire_lease *lease, const uint8_t *weights, size_t weights_bytes,
                    const volatile int *cancel, double *losses, uint32_t *diverged_steps,

@@ -34,7 +34,7 @@
  * fail later. */
 struct mo_parcel {
   struct mo_taken *taken;
-  bool is_delivered, is_kept; /* neither results nor an error: put back */
+  bool is_delivered, is_kept; /* neither delivered nor kept: put back */
   struct mo_remote_result result;
   SLIST_ENTRY(mo_parcel) next;
 };
@@ -64,9 +64,9 @@ struct mo_lease {
   struct mo_hold holds[MO_HOLDS];
   struct mo_vote votes[MO_VOTES];
   bool is_suspect;  /* has bodies that ended sessions */
-  bool is_kept;     /* put back to be computed here: workers of its class cannot compute it */
-  bool is_only;     /* same, lost three times: its session holds no other lease */
-  bool is_audit;    /* a check that waits for more results, not only for those on their way */
+  bool is_kept;     /* put back, to be computed here: workers of its class cannot */
+  bool is_only;     /* its bodies were lost three times: its session holds no other lease */
+  bool is_audit;    /* a check that needs one more session, besides those already computing */
   bool is_disputed; /* its votes differ, and this process decides */
   bool is_deciding; /* this process is computing it */
   bool is_listed;   /* in the list of its class (another session should take it), or in

@@ -3,9 +3,9 @@
  * A body that crashes a worker's process would crash one worker after another. So when a session is
  * lost, every body of its leases is remembered by the hash of its genotype. After three lost
  * sessions it is leased among at most half as many bodies as the last time, and to a session that
- * holds no other lease. When three different workers were lost with it as their only body, it is no
- * longer computed, so that one bad worker cannot condemn a body. When fewer workers lost six such
- * sessions, this process computes it. A result clears the bodies of its lease. */
+ * holds no other lease. It is no longer computed only after three different workers were lost with
+ * it as their only body, so that one bad worker cannot condemn a body. If fewer workers lost six
+ * sessions in this way, this process computes it. A result clears the bodies of its lease. */
 #ifndef MORPHO_FLEET_SUSPECTS_H
 #define MORPHO_FLEET_SUSPECTS_H
 
@@ -13,7 +13,9 @@
 
 #define MO_SUSPECT_SETS 4096
 #define MO_SUSPECT_WAYS 4
-#define MO_PATIENT      3 /* lost sessions that may be chance; workers that prove a body is bad */
+#define MO_PATIENT                                                                                 \
+  3 /* number of lost sessions that may be chance, and of workers that prove                       \
+       that a body is bad */
 
 /* Initialize it to zeros. */
 struct mo_suspects {

@@ -1,6 +1,6 @@
 /* weights.h: the controller files of leases, which workers request by hash. A file is made once and
- * kept while leases use its controller. Some files are kept longer, because no lease may be out
- * between two generations of a campaign. */
+ * kept while leases use its controller. Some files are kept longer, because between two generations
+ * of a campaign there may be no leases. */
 #ifndef MORPHO_FLEET_WEIGHTS_H
 #define MORPHO_FLEET_WEIGHTS_H
 

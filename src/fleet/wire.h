@@ -49,8 +49,8 @@
 #define MO_WIRE_MEASURED_BYTES (MO_WIRE_ROW_BYTES + 8 * MO_MEASURES)
 #define MO_WIRE_MEASURED_ROWS  (1 + (MO_WIRE_MEASURED_BYTES - 1) / MO_WIRE_ROW_BYTES)
 
-/* The epoch counts how often the store was opened. So a restarted daemon cannot mistake a result
- * from its previous run for one of its own leases. */
+/* The epoch counts how often the store was opened. A restarted daemon therefore cannot mistake a
+ * result of a lease from its previous run for a result of one of its own. */
 struct mo_lease_id {
   uint64_t epoch, number;
 };

@@ -30,14 +30,14 @@ struct mo_connection {
   int fd;
   enum mo_place place;
   enum mo_transport transport;
-  unsigned char client_key[16]; /* the client, for limits: the peer's user if it is on this machine,
-                                   otherwise its address */
+  unsigned char client_key[16]; /* identifies the client for limits: the peer's user if it is on
+                                   this machine, otherwise its address */
   char client[64];              /* for logs */
   _Atomic int64_t deadline_us;  /* when the clock thread closes the connection */
-  bool lingers; /* closing at once could lose the last reply, while the client still sends */
-  /* Whether this connection may be closed if a new one needs its place. spare_us: the connection
-   * has been idle since then, or its request (receiving: one has begun) has made no progress since
-   * then. MO_NEVER: a complete request has arrived. */
+  bool lingers; /* the client still sends, so closing at once could lose the last reply */
+  /* These decide whether this connection may be closed if a new one needs its place. spare_us: the
+   * time since which the connection has been idle, or its request (receiving: one has begun) has
+   * made no progress. MO_NEVER: a complete request has arrived. */
   atomic_bool receiving;
   _Atomic int64_t spare_us; /* MO_GAVE_WAY: already closed */
   atomic_bool left;         /* the client has closed its end */

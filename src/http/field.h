@@ -7,8 +7,8 @@
 #include <stdint.h>
 
 /* Decodes percent escapes of a path segment or query value into `out` (NUL-terminated). Returns
- * false if an escape is malformed, if there is a control byte (including %00) or invalid UTF-8, or
- * if `out` is too small. plus: '+' means a space (queries). */
+ * false if an escape is malformed, if the result contains a control byte (including %00) or invalid
+ * UTF-8, or if `out` is too small. plus: '+' means a space (queries). */
 bool mo_percent_decode(const char *text, size_t n, bool plus, char *out, size_t capacity);
 
 /* Reads the next query parameter and advances *query. Returns false at the end. Name and value are

@@ -1,7 +1,7 @@
 /* guard.h: checks that every request must pass before a route sees it.
  *
- * libmicrohttpd 0.9.75 accepts framing that two parsers may read differently (repeated, spaced or
- * folded Content-Length, unknown transfer codings, control bytes in names). Such requests are
+ * libmicrohttpd 0.9.75 accepts framing that two parsers may interpret differently (repeated, spaced
+ * or folded Content-Length, unknown transfer codings, control bytes in names). Such requests are
  * rejected and their connection is closed. Host and Origin are checked so that no web page can
  * reach the service by DNS rebinding. Tokens are compared in constant time. */
 #ifndef MORPHO_HTTP_GUARD_H
@@ -91,7 +91,7 @@ int mo_tokens_set(struct mo_tokens *tokens, const struct mo_token *items, size_t
                   struct mo_message *message);
 /* Checks "Bearer <token>". Returns 1 and fills in *caller if the token matches, 0 if it does not,
  * and −1 if no tokens are set. The time that this takes does not reveal which token matched, or how
- * much of it. */
+ * many of its characters. */
 int mo_tokens_check(struct mo_tokens *tokens, const char *authorization, struct mo_caller *caller);
 
 #endif

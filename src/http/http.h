@@ -30,8 +30,8 @@ struct mo_http_log_entry {
   const char *user;   /* the name of the token that was sent; "": none */
   const char *method;
   const char *path;
-  const char *reason; /* why the service failed (status 500 and above), or the data that it could
-                         not read; NULL: neither */
+  const char *reason; /* why the service failed (status 500 and above), or what data it could not
+                         read; NULL: neither */
   unsigned status;    /* 0: the connection ended before a reply was made */
   uint64_t body_in;   /* bytes of the request's body */
   uint64_t body_out;  /* bytes of the reply's body; for a stream, the bytes written */
@@ -53,28 +53,28 @@ struct mo_http_config {
   const struct mo_token *tokens; /* at most MO_TOKENS_MAX; see mo_http_set_tokens */
   size_t n_tokens;
   bool token_on_loopback; /* also require a token on loopback */
-  bool token_if_any; /* require a token on loopback if any is set; with a token, accept any Host */
+  bool token_if_any; /* require a token on loopback if any is set; with one, any Host is valid */
   const char *certificate;  /* NULL: plain HTTP. Else TLS 1.3: the chain, as text in PEM */
   const char *key;          /* its private key, as text in PEM; both are read only at the start */
   const gid_t *unix_groups; /* groups whose members may use the unix socket, in addition to root and
                                the service's own user */
   size_t n_unix_groups;
   uint32_t n_io_threads;      /* libmicrohttpd's pool; 0: one per CPU, at most 4 */
-  uint32_t max_connections;   /* above this, idle connections are closed, or new ones get 503 with
+  uint32_t max_connections;   /* beyond this, idle connections are closed, or new ones get 503 with
                                * Retry-After. Lower if the limit on open files requires it: see
                                * mo_http_get_stats */
   uint32_t other_files;       /* descriptors that other servers in this process may need */
   uint32_t max_streams;       /* event streams */
   uint32_t max_in_flight;     /* requests of one client at a time, except requests that wait for a
-                               * job; above: 429 */
-  uint32_t max_queued;        /* requests that wait for an API thread; above: 503; 0: 256 */
-  uint32_t client_rate_per_s; /* submissions and uploads per second and client; 0: no limit; above:
-                                 429 */
+                               * job; beyond this: 429 */
+  uint32_t max_queued;        /* requests that wait for an API thread; beyond this: 503; 0: 256 */
+  uint32_t client_rate_per_s; /* submissions and uploads per second and client; 0: no limit; beyond
+                                 this: 429 */
   uint64_t max_body_bytes;    /* JSON body that submits work */
   uint64_t max_file_bytes;    /* a file in a body */
   uint64_t max_bundle_bytes;  /* several files in one body */
   uint64_t max_body_memory; /* for bodies being received or handled, and large replies not yet read.
-                               One client may use at most half; above: 429 */
+                               One client may use at most half; beyond this: 429 */
   uint32_t header_timeout_ms; /* from the start of a request to the end of its header */
   uint32_t body_timeout_ms;   /* from the end of the header to the end of the body */
   uint32_t idle_timeout_ms;   /* between requests of one connection */
@@ -93,7 +93,7 @@ struct mo_http_service {
   int (*start)(void *context, struct mo_http *http);
   void (*tick)(void *context);
   void (*stop)(void *context);
-  uint32_t tick_ms; /* 0: 1000 */
+  uint32_t tick_ms; /* 0: 1000 ms */
 };
 
 struct mo_http_stats {

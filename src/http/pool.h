@@ -28,8 +28,7 @@ struct mo_pool {
   struct mo_api_thread threads[MO_QUEUES * MO_QUEUE_THREADS_MAX];
   uint32_t n_threads;
   LIST_HEAD(, mo_request)
-  waiting[MO_WAITING]; /* parked, or about to park, and grouped by what they
-                        * wait for */
+  waiting[MO_WAITING]; /* parked, or about to be parked; grouped by what they wait for */
 };
 
 int mo_pool_start(struct mo_http *http);
@@ -43,8 +42,8 @@ int mo_pool_give(struct mo_http *http, struct mo_request *request);
  * deadline, or within about 20 ms after the client leaves (mo_connection_has_left). */
 void mo_wait_begin(struct mo_request *request, int64_t what, int64_t deadline_us);
 void mo_wait_end(struct mo_request *request);
-/* Ends the waits for `what`, or (−1) for clients that have left, and the waits with a deadline
- * before now_us (INT64_MIN: none, MO_NEVER: all). */
+/* Ends the waits for `what` (−1: the waits of clients that have left), and those with a deadline
+ * before now_us (INT64_MIN: no others; MO_NEVER: all). */
 void mo_waits_end(struct mo_http *http, int64_t what, int64_t now_us);
 
 void mo_pool_close(struct mo_http *http); /* returns when no connection is suspended */

@@ -19,7 +19,8 @@ bool mo_query_limit(struct mo_request *request, size_t *limit);
 /* Reads an integer within bounds; *number does not change if it is absent. */
 bool mo_query_number(struct mo_request *request, const char *name, int64_t min, int64_t max,
                      int64_t *number);
-/* Reads the id of a row in the same way. words: the detail for invalid values. */
+/* Reads the id of a row in the same way as mo_query_number. words: the detail for invalid
+ * values. */
 bool mo_query_id(struct mo_request *request, const char *name, const char *words, int64_t *id);
 #define MO_CURSOR_WORDS "must be the next_cursor of an earlier page"
 #define MO_CURSOR_MAX   INT64_C(9999999999)

@@ -1,6 +1,6 @@
 /* queue.h: requests that wait for an API thread. Clients take turns: the next request is the oldest
- * one of the client that has waited longest for its turn. So a client waits for at most one request
- * of each other client, however many they have sent. The pool's lock guards a queue. */
+ * one of the client that has waited longest for its turn. A client therefore waits for at most one
+ * request of each other client, however many they have sent. The pool's lock guards a queue. */
 #ifndef MORPHO_HTTP_QUEUE_H
 #define MORPHO_HTTP_QUEUE_H
 
@@ -10,7 +10,7 @@
 
 struct mo_queue {
   TAILQ_HEAD(, mo_request) clients; /* the oldest request of each client, in the order of turns */
-  uint32_t n_new; /* without requests that ran before: ended waits, and later pieces of replies */
+  uint32_t n_new; /* excludes requests that ran before: ended waits, and later pieces of replies */
   uint32_t n_running, most_of_client;              /* requests being handled; the limit for one
                                                       client */
   unsigned char running[MO_QUEUE_THREADS_MAX][16]; /* client keys */

@@ -7,7 +7,7 @@
 #include "http/request.h"
 
 /* Writes a problem document (RFC 9457), which describes the faults of a request. Its type is the
- * path of a page that explains it: docs/problems.md has a section for each. faults nullable. */
+ * path of a page that explains it: docs/problems.md has a section about each. faults nullable. */
 void mo_problem_write(struct mo_text *text, unsigned status, const char *detail,
                       const char *instance, const char *request_id, const struct mo_faults *faults);
 
@@ -64,9 +64,9 @@ void mo_reply_mark_gzip(struct mo_request *request);
 void mo_reply_extra(struct mo_request *request, const char *name, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 void mo_reply_clear(struct mo_reply *reply);
-/* Frees the request's body, and counts a large reply against the memory limits, the total and the
- * client's, until it is sent: slow readers could otherwise hold any amount. A reply is always
- * allowed if nothing else is counted. Returns false if the reply is now a problem. */
+/* Frees the request's body, and counts a large reply against the total and the client's memory
+ * limit until it is sent: slow readers could otherwise hold any amount. A reply is always allowed
+ * if nothing else is counted. Returns false if the reply is now a problem. */
 bool mo_reply_reserve(struct mo_request *request, uint64_t bytes);
 bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response);
 enum MHD_Result mo_reply_send(struct mo_request *request);

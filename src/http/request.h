@@ -37,7 +37,7 @@ struct mo_reply {
   const char *policy; /* static: Content-Security-Policy; NULL: frame-ancestors 'none' */
   bool close;
   bool keep;  /* the reply to this path never changes: clients may cache it for a year */
-  bool packs; /* bytes worth compressing, although their type does not suggest it */
+  bool packs; /* worth compressing, although the type does not suggest it */
   unsigned retry_after_s;
   char etag[112], location[192], allow[64], applied[24];
   unsigned n_extra;
@@ -80,15 +80,15 @@ struct mo_request {
   struct mo_query query;
   /* Body. */
   uint64_t body_limit, body_seen, body_reserved;
-  struct mo_client *body_client; /* the client whose share includes `body_reserved`, of body or
-                                    reply; NULL: no client's */
+  struct mo_client *body_client; /* the client to which `body_reserved` (of the body or the reply)
+                                    is charged; NULL: no client */
   char *body;
   size_t body_size, body_capacity;
   bool body_coming, body_gave_way; /* body.c */
   LIST_ENTRY(mo_request) other_bodies;
   struct mo_reply reply;
-  char reason[MO_REASON_BYTES]; /* for the log: why the service failed, or the data that it could
-                                   not read; "": neither */
+  char reason[MO_REASON_BYTES]; /* for the log: why the service failed, or what data it could not
+                                   read; "": neither */
   unsigned char client_key[16]; /* the connection's client and the token: many people may share a
                                    proxy */
   struct mo_client *client;

@@ -38,7 +38,7 @@ struct mo_http {
   pthread_mutex_t connections_lock;
   struct mo_connection **connections;       /* by descriptor */
   size_t connections_size, connections_top; /* all descriptors are below connections_top */
-  atomic_uint n_connections, n_leaving;     /* n_leaving: closed, but not yet by their I/O
+  atomic_uint n_connections, n_leaving;     /* n_leaving: shut down, but not yet closed by their I/O
                                              * threads */
   _Atomic int64_t acceptor_us, clock_us;
   atomic_bool clock_stop, ready, stopping;
@@ -49,7 +49,7 @@ struct mo_http {
   struct mo_metrics metrics;
   atomic_uint n_in_flight;
   pthread_mutex_t bodies_lock;
-  LIST_HEAD(, mo_request) bodies; /* being received */
+  LIST_HEAD(, mo_request) bodies; /* requests whose bodies are being received */
   _Atomic uint64_t body_memory;
   _Atomic uint64_t next_id;
   uint64_t id_key;

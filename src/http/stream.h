@@ -28,8 +28,8 @@ typedef int64_t (*mo_stream_fill)(struct mo_request *request, struct mo_stream_p
 
 /* Opens an event stream as the reply. MO_ERR_LIMIT, MO_ERR_BUSY (closing), MO_ERR_NO_MEMORY. */
 int mo_stream_open(struct mo_request *request, struct mo_stream_place place, mo_stream_fill fill);
-/* Sends a new event to all streams that want it. Call it in order of the sequence numbers, once
- * mo_stream_fill can read the event. write: appends the frame. */
+/* Sends a new event to all streams that include its topic. Call it in order of the sequence
+ * numbers, once mo_stream_fill can read the event. write: appends the frame. */
 void mo_streams_send(struct mo_http *http, int64_t sequence, int64_t topic,
                      void (*write)(struct mo_text *text, const void *event), const void *event);
 void mo_stream_free(struct mo_request *request);

@@ -10,14 +10,14 @@ struct mo_atlas_wave {
   struct mo_atlas_scope scope;
   enum mo_atlas_orientations orientations;
   uint32_t n_environments;
-  uint32_t measures, n_measures; /* bits of the measures, and how many there are */
+  uint32_t measures, n_measures; /* the measures, as bits, and their number */
   uint32_t most;                 /* designs */
   uint32_t n, n_designs;         /* bodies and their designs */
   struct mo_bits *forms;         /* (most) bodies */
-  uint32_t *begins;              /* (most + 1) first design of a body */
-  uint8_t *left;                 /* (most) designs of a body that still lack losses */
+  uint32_t *begins;              /* (most + 1) the first design of each body */
+  uint8_t *left;                 /* (most) number of a body's designs that still lack losses */
   struct mo_bits *designs;       /* (most) */
-  uint32_t *bodies;              /* (most) body of a design */
+  uint32_t *bodies;              /* (most) the body of each design */
   double *losses;                /* (most, n_environments) */
   double *values;                /* (most, n_environments, n_measures) the measures */
 };
@@ -32,8 +32,8 @@ void mo_atlas_wave_measured(struct mo_atlas_wave *wave, uint32_t design, uint32_
 /* Fills the wave with the next bodies of a stream; n 0: no body is left. MO_ERR_NO_MEMORY. */
 int mo_atlas_wave_fill(struct mo_atlas_wave *wave, struct mo_atlas_bodies *bodies);
 /* Computes the losses of body i, once all of its designs have theirs: the means over its designs,
- * added in their order. losses: (n_environments). measures: (n_measures) the same, and then the
- * means over the environments, in their order; NaN if one of the numbers is. */
+ * added in order. losses: (n_environments). measures: (n_measures) the means over its designs, and
+ * then over the environments, added in order; NaN if one of the numbers is NaN. */
 void mo_atlas_wave_mean(const struct mo_atlas_wave *wave, uint32_t i, double *losses,
                         double *measures);
 /* Counts the designs of the bodies at the positions from `first` to `end`. */

@@ -16,8 +16,8 @@ struct mo_lineage {
 };
 /* Reads the lineage of a controller. Omits the parts that depend on an unreadable field. run
  * (nullable): reports each such field as an event of the campaign. MO_ERR_LIMIT with a message:
- * more bodies than can be redrawn. MO_ERR_CANCELLED: a request arrived while an event waited for
- * space. */
+ * there are more bodies than can be redrawn. MO_ERR_CANCELLED: a request arrived while an event
+ * waited for space. */
 int mo_lineage_read(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
                     struct mo_campaign_run *run, struct mo_lineage *lineage,
                     struct mo_message *message);

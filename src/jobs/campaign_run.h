@@ -46,7 +46,7 @@ struct mo_campaign_run {
 
   /* The progress (campaign.c). */
   uint32_t generation; /* the current one */
-  uint64_t n_designs;  /* born before this generation */
+  uint64_t n_designs;  /* number born before this generation */
   bool is_exhausted;   /* no child was found */
   bool has_ended;      /* the end is written */
 
@@ -75,9 +75,9 @@ struct mo_campaign_run {
 
   /* Times, for the live figures (campaign_live.c). */
   struct {
-    int64_t begin_us;    /* start of the generation in this process */
+    int64_t begin_us;    /* when this process started the generation */
     int64_t progress_us; /* of the last progress event */
-    double prepared_s;   /* wall time before generation 0, which counts toward it; else 0 */
+    double prepared_s;   /* wall time before generation 0, counted as part of it; else 0 */
     double generation_s; /* wall time of the newest generation, without prepared_s; 0: unknown */
     uint64_t generation_rollouts; /* of its scores */
   } times;
@@ -110,7 +110,7 @@ int mo_campaign_resume(struct mo_campaign_run *run);
 void mo_campaign_free_rows(struct mo_campaign_run *run);
 
 /* ---- campaign_vary.c ---- */
-/* Collects the designs that must not be born again, once. Does nothing for a study. */
+/* Collects, once, the designs that must not be born again. Does nothing for a study. */
 int mo_campaign_read_seen(struct mo_campaign_run *run);
 /* Makes the children, or reads the children of a study's batch. MO_ERR_EXHAUSTED: no child was
  * found. */
@@ -141,8 +141,8 @@ int mo_campaign_wait_for_commit(struct mo_campaign_run *run);
  * a generation, all its other writes use this function. */
 int mo_campaign_persist(struct mo_campaign_run *run, int (*write)(void *context), void *context,
                         const char *what);
-/* Adds an event about the progress, at most once per second, unless a commit is being written.
- * Losing the event is not an error; a failed commit is. */
+/* Adds an event about the progress, at most once per second, unless a commit is being written. A
+ * lost event is not an error, but a failed commit is. */
 int mo_campaign_report(struct mo_campaign_run *run);
 /* Waits only until the thread has ended. */
 void mo_campaign_writing_join(struct mo_campaign_run *run);

@@ -17,8 +17,8 @@ struct mo_campaign_scores {
   uint32_t first, n;
   struct mo_compute_controller *weights; /* that score this generation; NULL: not prepared yet */
   struct mo_campaign_loss *losses;       /* (n) */
-  /* Of a campaign that names measures: those of each rollout, (n, n_environments), and the means of
-   * each candidate, (n, means). */
+  /* For a campaign that names measures: the measures of each rollout, (n, n_environments), and the
+   * means of each candidate, (n, means). */
   double (*measures)[MO_MEASURES];
   double *means;
   uint32_t *unsaved; /* (n) candidates with unsaved losses */
@@ -26,7 +26,8 @@ struct mo_campaign_scores {
   uint32_t n_done;   /* of n */
   uint64_t n_cached; /* losses that were found in the table `scores` */
 };
-void mo_campaign_free_scores(struct mo_campaign_scores *scores); /* everything except the weights */
+void mo_campaign_free_scores(struct mo_campaign_scores *scores); /* frees everything except the
+                                                                    weights */
 
 /* Finds stored losses. */
 int mo_campaign_look_up(struct mo_campaign_run *run);
@@ -49,8 +50,8 @@ struct mo_campaign_race {
 int mo_race_close(struct mo_campaign_run *run);
 /* Begins the race, unless parents still lack scores. Call it after known losses are marked. */
 void mo_race_begin(struct mo_campaign_run *run);
-/* Continues with a candidate that got losses. is_done: it has no cell left. Returns whether it is
- * done now, because it may be cut short. */
+/* Continues the race with a candidate that has received losses. is_done: it has no cell left.
+ * Returns whether it is done now, possibly because it was cut short. */
 bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done);
 /* Returns whether a race saved time in this generation, or would have. If that is unknown, returns
  * the previous answer. */

@@ -8,8 +8,8 @@
 #include "store/certificates.h"
 
 /* Submits a certificate, like mo_jobs_submit_training. What the request leaves out is taken from
- * the job with its designs, or is the default. MO_ERR_NOT_FOUND, MO_ERR_CONFLICT: as in
- * mo_store_population, or that job uses a whole suite; MO_ERR_EMPTY: it has no controller;
+ * the job with its designs, or is the default. MO_ERR_NOT_FOUND: as in mo_store_population;
+ * MO_ERR_CONFLICT: as there, or that job uses a whole suite; MO_ERR_EMPTY: it has no controller;
  * MO_ERR_LIMIT: too little memory. */
 int mo_jobs_submit_certificate(struct mo_jobs *jobs, const struct mo_certificate_request *request,
                                int64_t *id, bool *replayed, struct mo_message *message);

@@ -47,8 +47,8 @@ struct mo_active {
   uint64_t computed;   /* rollouts, since this claim */
   struct mo_pace pace; /* rate of `computed` */
   int64_t shown_us;    /* time of the last live figures; 0: none */
-  int64_t until_us;    /* after an error: the job is not reclaimed before this time */
-  uint32_t references; /* from saves */
+  int64_t until_us;    /* after an error: the job is not claimed again before this time */
+  uint32_t references; /* held by saves */
   struct mo_active *next;
 };
 
@@ -65,7 +65,7 @@ struct mo_rows { /* a growing array */
 /* The rows that one save writes. */
 struct mo_pending {
   struct mo_rows blocks, trajectories, designs, updates; /* each update refers to its active job */
-  struct mo_rollout *rollouts;                           /* to be forgotten after the commit */
+  struct mo_rollout *rollouts;                           /* to forget after the commit */
   struct mo_save save; /* points to the rows while the save is in progress */
   uint64_t n_losses, recorded_bytes;
   int64_t since_us; /* time of the first entry; 0: empty */
@@ -86,14 +86,14 @@ struct mo_evaluations {
   struct mo_rollout *buckets[MO_ROLLOUT_BUCKETS];
   struct mo_pending pending, saving;
   bool is_saving;
-  int64_t retry_save_us; /* time of the next try after a lack of space */
+  int64_t retry_save_us; /* time of the next attempt after the disk was full */
   bool broken;           /* the store is lost, so no more work is started */
   bool look_again;       /* there may be queued jobs */
   bool review_again;     /* a job could not be read */
   bool visit_again;      /* rollouts were forgotten, so deferred cells can be looked up again */
   pthread_t drawer;
   bool draws;         /* a drawing thread exists */
-  int64_t unstored;   /* evaluation that it cannot store; 0: none; under the runners' mutex */
+  int64_t unstored;   /* job that the drawing thread cannot store; 0: none; runners' mutex */
   int unstored_error; /* the reason */
 };
 

@@ -9,7 +9,7 @@
  * the first. MO_ERR_NO_MEMORY. */
 int mo_active_climb(struct mo_active *active);
 void mo_climbs_free(struct mo_climbs *climbs); /* NULL-safe */
-/* Takes the loss of a cell of the grid. */
+/* Records the loss of a cell of the grid. */
 void mo_active_climb_give(struct mo_active *active, uint32_t row, uint32_t k, double loss);
 /* Opens the next rungs of the designs whose rungs have all losses and miss the tolerance. Returns
  * whether there are any. */

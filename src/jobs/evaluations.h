@@ -6,14 +6,14 @@
 
 #include "jobs/jobs.h"
 
-/* MO_BACK_END_AUTO means devices for a float32 batch of at least this many rollouts that neither
- * records nor verifies. */
+/* MO_BACK_END_AUTO chooses devices for a float32 batch job of at least this many rollouts that
+ * neither records nor verifies. */
 #define MO_DEVICE_ROLLOUTS_MIN 1000
 
 /* Submits an evaluation and returns after the commit. *id: the job. *replayed: the key was known
  * with the same body, and *id is the earlier job. `message` describes the invalid value. controller
- * NULL: "default". priority −1: interactive up to 64 rollouts that are not for devices. back_end:
- * also MO_BACK_END_AUTO.
+ * NULL: "default". priority −1: interactive if there are at most 64 rollouts, and they are not for
+ * devices. back_end: MO_BACK_END_AUTO is also allowed.
  * - MO_ERR_INVALID, MO_ERR_RANGE: a value breaks this contract
  * - MO_ERR_NOT_FOUND: no such controller or set
  * - MO_ERR_CONFLICT: the key was used with a different body

@@ -22,13 +22,13 @@
 
 struct mo_jobs;
 
-/* Value of `back_end` in a request in addition to enum mo_back_end: devices if one works and the
- * job suits them. */
+/* Value of `back_end` in a request in addition to enum mo_back_end: devices, if one works and they
+ * can compute the job. */
 #define MO_BACK_END_AUTO (-1)
 
 struct mo_jobs_config {
   uint32_t max_open_jobs;        /* queued, running and paused together; 0: 10000 */
-  uint64_t max_open_rollouts;    /* total of all open jobs; 0: 20 million */
+  uint64_t max_open_rollouts;    /* total over all open jobs; 0: 20 million */
   uint64_t max_recorded_bytes;   /* limit of one evaluation; 0: 64 MiB */
   uint32_t max_active_trainings; /* training jobs that run concurrently, ≤ 16; 0: 1 */
   uint32_t max_active_campaigns; /* campaigns that run concurrently, ≤ 64; 0: 4 */
@@ -40,8 +40,8 @@ struct mo_jobs_config {
   /* File that mo_jobs_crash_note wrote in an earlier process, or NULL. Read once, then emptied. */
   const char *crash_marker;
   /* When the last process began (wall clock), if it was killed, possibly for lack of memory;
-   * otherwise 0. If only one running training job or campaign had saved nothing since, the kill
-   * counts as a crash of that job. */
+   * otherwise 0. If exactly one of the running training jobs and campaigns had saved nothing since
+   * then, the kill counts as a crash of that job. */
   int64_t killed_us;
   /* Called for the log with every error that ends an attempt of a job, with every damaged
    * checkpoint that is skipped, and once each time that a training job or campaign starts to wait
@@ -57,15 +57,15 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
                    struct mo_message *message);
 
 /* Stops the service's jobs: starts no new work, cancels blocks in flight, saves computed results
- * and a checkpoint of each training run, and requeues running jobs. Returns MO_OK when all is
- * saved, or MO_ERR_BUSY when `deadline_ms` passed first. The process may end in either case:
+ * and a checkpoint of each training run, and requeues running jobs. Returns MO_OK when everything
+ * is saved, or MO_ERR_BUSY if `deadline_ms` passes first. The process may end in either case:
  * nothing acknowledged is lost. Submissions fail with MO_ERR_CANCELLED from now on. */
 int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms);
 void mo_jobs_free(struct mo_jobs *jobs); /* stops first if needed; NULL-safe */
 
-/* Sets the class of devices that only workers on other machines have. The first class of the
- * process is kept. MO_ERR_CONFLICT: a different class is set, or the service itself has devices;
- * MO_ERR_LIMIT: too long; errors of the store. */
+/* Sets the class of devices that only workers on other machines have. The first class that is set
+ * in a process is kept. MO_ERR_CONFLICT: a different class is set, or the service itself has
+ * devices; MO_ERR_LIMIT: too long; errors of the store. */
 int mo_jobs_name_devices(struct mo_jobs *jobs, const char *scores, const char *gradients);
 
 /* ---- control: each returns after its commit. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: not possible in
@@ -97,7 +97,7 @@ const struct mo_lattice *mo_jobs_lattice(const struct mo_jobs *jobs);
 /* After this many crashes or errors a job fails. */
 #define MO_ATTEMPTS_MAX 3
 
-/* Counters. Active jobs are being cut into blocks. All counts are since the start, except the
+/* Counters. Active jobs are those being cut into blocks. All counts are since the start, except the
  * counts of open jobs and blocks. Shared rollouts were computed once for several evaluations.
  * campaign_rollouts: computed for scores; campaign_cached and campaign_diverged: found and diverged
  * rollouts of committed generations; campaign_designs: designs born in these generations. */
@@ -127,8 +127,8 @@ struct mo_jobs_stats {
 /* Fills *stats without waiting for computation or the store. */
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats);
 /* Returns the number of training runs, campaigns, atlases and certificates that are waiting for
- * disk space or memory, and their ids for mo_job_query, which shows them as paused while they
- * run. */
+ * disk space or memory, and writes their ids for mo_job_query, which shows them as paused although
+ * they are running. */
 size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX]);
 
 /* ---- crashes ---- */

@@ -35,9 +35,9 @@ int mo_learner_prepare(struct mo_learner *learner, struct mo_runner *runner,
 int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, uint32_t n);
 /* Runs one step: the gradient of the drawn robots, then its application. On devices, `write` and
  * the drawing of the next robots run during the gradient. On workers, where a gradient takes a
- * hundred times as long, that would gain nothing, so the gradient starts after `write` succeeds. An
- * error of `write` takes precedence over an error of the gradient. seconds: the time of the whole
- * step. */
+ * hundred times as long, this would save nothing, so the gradient starts only after `write`
+ * succeeds. An error of `write` takes precedence over an error of the gradient. seconds: the time
+ * of the whole step. */
 int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots);
 int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report,
                      double *seconds);

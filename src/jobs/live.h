@@ -13,7 +13,7 @@ enum mo_phase {
   MO_PHASE_SCORE,
   MO_PHASE_VALIDATE,
   MO_PHASE_SAVE,
-  MO_PHASE_WAIT /* for disk space or memory */
+  MO_PHASE_WAIT /* waits for disk space or memory */
 };
 /* "idle", "replaying", "preparing", "varying", "learning", "scoring", "validating", "saving",
  * "waiting" */
@@ -26,10 +26,11 @@ struct mo_live {
   uint64_t done, total;      /* training: redrawn bodies; campaign: depends on the phase: redrawn
                               * bodies, learning steps, or scored designs; evaluation: rollouts */
   double rate;               /* robots (training) or rollouts computed per second; 0: unknown */
-  double seconds_left;       /* for the job; only for the drawing until the first generation of a
-                              * campaign is timed; < 0: unknown */
+  double seconds_left;       /* for the whole job; until the first generation of a campaign has been
+                              * timed, only for drawing its bodies; < 0: unknown */
   double best_score;         /* in a campaign's newest population; ≤ 0: none */
-  double busy_s;             /* worker seconds since the last start; < 0: no share at the moment */
+  double busy_s;             /* worker seconds since the last start; < 0: the job has no share at
+                                present */
   double worker_s, device_s; /* total; only for a job with a share, like back_end */
   enum mo_back_end back_end;
   char reason[160]; /* MO_PHASE_WAIT: the reason, and what to do; MO_PHASE_PREPARE: the campaign

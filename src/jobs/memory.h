@@ -24,7 +24,7 @@ struct mo_memory_user {
   int64_t id;
   const struct mo_kind *kind;
   struct mo_need need;
-  bool is_proven;     /* has saved something since it was admitted */
+  bool is_proven;     /* it has saved something since it was admitted */
   uint32_t overtaken; /* later jobs that were admitted first */
   char reason[160];   /* why the job waits */
   struct mo_memory_user *next;
@@ -47,7 +47,7 @@ void mo_memory_free(struct mo_jobs *jobs);
 void mo_memory_add_learning(const struct mo_jobs *jobs, uint32_t batch,
                             const struct mo_physics *physics, enum mo_back_end back_end,
                             struct mo_need *need);
-/* MO_ERR_LIMIT: the job would not fit even alone. */
+/* MO_ERR_LIMIT: the job would not fit in memory even if it ran alone. */
 int mo_memory_check(const struct mo_jobs *jobs, const struct mo_need *need,
                     struct mo_message *message);
 /* Admits a queued job. Returns true if the caller should run the job and return its memory later,

@@ -1,8 +1,8 @@
 /* pace.h: the recent rate of a job's results. Pure arithmetic: the caller provides the time.
  *
- * The rate counts from the first results, so that waiting for the first blocks and starting them
- * are not part of it. It covers the last 10 to 20 seconds at most, so that it adapts when jobs that
- * share the cores start or end. */
+ * The rate counts from the first results, so that it does not include the time to start the first
+ * blocks and to wait for them. It covers the last 10 to 20 seconds at most, so that it adapts when
+ * jobs that share the cores start or end. */
 #ifndef MORPHO_JOBS_PACE_H
 #define MORPHO_JOBS_PACE_H
 

@@ -1,5 +1,5 @@
 /* rollouts.h: rollouts that are computed at once and not stored: for viewers and editors, which
- * request many that are never needed again. */
+ * request many rollouts that are never needed again. */
 #ifndef MORPHO_JOBS_ROLLOUTS_H
 #define MORPHO_JOBS_ROLLOUTS_H
 
@@ -55,8 +55,8 @@ void mo_rollouts_free(struct mo_rollouts *rollouts); /* NULL-safe */
  * label, key and `verify`. The losses have the same bits as in an evaluation. The states of the
  * request must outlive the rollouts.
  * - MO_ERR_RANGE, MO_ERR_INVALID: a value is outside its bounds
- * - MO_ERR_LIMIT: they would take too long, or be too large: use an evaluation for them
- * - MO_ERR_CONFLICT: a state does not fit its rollout
+ * - MO_ERR_LIMIT: they would take too long or be too large; an evaluation can compute them
+ * - MO_ERR_CONFLICT: a state does not match its rollout
  * - MO_ERR_NOT_FOUND: no such controller or set
  * - MO_ERR_UNSUPPORTED: the controller is for a different workspace
  * - MO_ERR_CANCELLED: the service is stopping */

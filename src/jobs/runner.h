@@ -53,10 +53,11 @@ struct mo_runner {
   struct mo_live live;
   /* Shared with the back end. */
   volatile int interrupt;     /* set by every request */
-  volatile uint64_t replayed; /* of a training run: bodies redrawn so far */
+  volatile uint64_t replayed; /* for a training run: bodies redrawn so far */
   /* For this thread only. */
   bool winding_down; /* a request arrived or the job failed: only computed results are saved */
-  bool is_short;     /* lacks memory: results that cannot be saved at once are recomputed later */
+  bool is_short;     /* memory is short: results that cannot be saved at once are recomputed
+                        later */
   bool gives_up;     /* this attempt is the last one */
   int error;
   char text[256];        /* of the error */
@@ -72,14 +73,14 @@ struct mo_runners {
   struct mo_runner *runner; /* (n) */
   uint32_t n;
   uint32_t alive;    /* running threads */
-  uint64_t look;     /* grows when there may be queued jobs, and at a stop */
-  uint64_t requests; /* grows with every request */
+  uint64_t look;     /* incremented when there may be queued jobs, and at a stop */
+  uint64_t requests; /* incremented with every request */
   bool stopping;
   atomic_bool unsaved; /* a stopped job could not be saved */
   atomic_uint_fast64_t active;
 };
 
-/* Returns whether an error can go away without a request. */
+/* Returns whether the cause of an error can disappear without a request. */
 static inline bool mo_is_shortage(int error)
 {
   return error == MO_ERR_NO_MEMORY || error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY;

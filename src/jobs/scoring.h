@@ -8,7 +8,7 @@
 /* A cell is one design in one environment. */
 enum mo_cell {
   MO_CELL_TO_DO = 0,
-  MO_CELL_DEFERRED, /* another job computes it */
+  MO_CELL_DEFERRED, /* another job is computing it */
   MO_CELL_IN_FLIGHT,
   MO_CELL_DONE,
   MO_CELL_LATER /* closed until mo_grid_open */
@@ -24,7 +24,8 @@ struct mo_grid {
   uint8_t *cells;  /* (n_designs, n_environments) enum mo_cell */
   uint8_t *left;   /* (n_designs) cells that are not done */
   uint32_t cursor; /* no earlier design has an open cell, except the designs in `again` */
-  /* A ring of the designs whose cells mo_grid_open opened. NULL: it is never called. */
+  /* A ring buffer of the designs whose cells mo_grid_open opened. NULL: mo_grid_open is never
+   * called. */
   uint32_t *again, first_again, n_again;
 };
 /* Returns the fields that all blocks of a job share, except its controller, and the share and
@@ -43,7 +44,7 @@ static inline bool mo_grid_is_open(const struct mo_grid *grid, uint32_t design, 
 }
 /* Closes the open cells of all designs, starting at `first`. Call it once. MO_ERR_NO_MEMORY. */
 int mo_grid_close(struct mo_grid *grid, uint32_t first);
-/* Of n cells of a design, opens the closed ones; they are scored soon. */
+/* Opens those of n cells of a design that are closed; they are scored before other open cells. */
 void mo_grid_open(struct mo_grid *grid, uint32_t design, const uint8_t *cells, uint32_t n);
 /* Marks a cell as done. Returns whether its design is done. */
 bool mo_grid_finish(struct mo_grid *grid, uint32_t design, uint32_t k);
@@ -70,7 +71,7 @@ struct mo_window {
   struct mo_compute *compute;
   struct mo_inbox *inbox;
   struct mo_grid *grid;     /* created */
-  uint32_t most, n_flights; /* blocks that may be in flight, and that are in flight */
+  uint32_t most, n_flights; /* number of blocks that may be in flight, and that are */
   size_t flight_bytes;      /* size of a struct that begins with struct mo_flight */
   void *context;
   /* All nullable. look_up: finishes the known cells of a design before its cells are taken. joins:
@@ -87,7 +88,7 @@ int mo_window_launch(struct mo_window *window, unsigned *budget);
 /* Takes a finished block out of the window, and marks its cells as done. *is_done: its design is
  * done. Returns the error of the block and describes it in `text` for its job; the cells then stay
  * in flight. A diverged rollout has the loss +infinity. NaN and −infinity must not be stored. No
- * input should produce them, so they are an error. */
+ * input should produce these, so they are an error. */
 int mo_window_take(struct mo_window *window, const struct mo_flight *flight, bool *is_done,
                    char text[128]);
 

@@ -33,7 +33,7 @@ struct mo_jobs {
    * back_end.c. */
   struct mo_classes classes;
   char *code_versions[2];               /* by back end */
-  pthread_mutex_t class_mutex;          /* guards setting the class of devices */
+  pthread_mutex_t class_mutex;          /* held while the class of devices is set */
   struct mo_device_memory known_device; /* the class of an earlier process; "": none */
   struct mo_runners runners[MO_JOB_KINDS];
   struct mo_memory memory;
@@ -83,8 +83,8 @@ void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
                        double device_s[MO_JOB_KINDS]);
 
 /* ---- back_end.c ---- */
-/* Chooses the back end if the request leaves it open. unsuited: why devices cannot compute the job,
- * and what to do; NULL: they can. is_large: devices are worthwhile. MO_ERR_DEVICE. */
+/* Chooses the back end if the request does not specify it. unsuited: why devices cannot compute the
+ * job, and what to do; NULL: they can. is_large: devices are worthwhile. MO_ERR_DEVICE. */
 int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, const char *unsuited,
                        bool is_large, struct mo_message *message);
 /* Returns why devices cannot compute these environments, and what to do; NULL: they can, as they
@@ -101,8 +101,8 @@ int mo_back_end_prepare(struct mo_jobs *jobs);
 /* Shows that a running job is waiting for workers on other machines. "": it is not waiting. */
 void mo_back_end_describe_wait(const struct mo_jobs *jobs, enum mo_back_end back_end, char *text,
                                size_t size);
-/* Maps an error of a block or gradient to the error of its job. Lack of device memory pauses the
- * job, like a lost device, because the lack may last. */
+/* Maps an error of a block or gradient to the error of its job. A lack of device memory pauses the
+ * job, as a lost device does, because it may last. */
 int mo_back_end_error(enum mo_back_end back_end, int error);
 /* Describes why a job on devices is paused (lost devices or lack of memory), and what to do. */
 void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size);

@@ -39,9 +39,9 @@ int mo_jobs_ask(struct mo_jobs *jobs, int64_t id, const struct mo_ask *ask, stru
  * or has failed. */
 int mo_jobs_finish_study(struct mo_jobs *jobs, int64_t id);
 
-/* Reads the losses of designs of a study. losses: (n), by place; measures: (n, environments) room
- * for those of the rollouts, which losses->measures then point to; NULL: only the losses are read.
- * known: (n) whether the losses belong to the code that computes the study now. */
+/* Reads the losses of designs of a study. losses: (n), by place; measures: (n, environments) space
+ * for the measures of the rollouts, to which losses->measures then point; NULL: only the losses are
+ * read. known: (n) whether the losses belong to the code that computes the study now. */
 int mo_jobs_study_losses(struct mo_jobs *jobs, int64_t id, const struct mo_bits *genotypes,
                          uint32_t n, struct mo_campaign_loss *losses,
                          double (*measures)[MO_MEASURES], uint8_t *known);

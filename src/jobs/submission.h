@@ -27,7 +27,8 @@ struct mo_placed {
   struct mo_bits *forms;     /* (n) canonical */
   struct mo_bits *genotypes; /* (n) placed */
 };
-/* Places every genotype, a body, and finds its canonical form. MO_ERR_NO_MEMORY. */
+/* Places every genotype, each of which is a body, and finds its canonical form.
+ * MO_ERR_NO_MEMORY. */
 int mo_placed_create(struct mo_workspace workspace, const struct mo_bits *asked, uint32_t n,
                      struct mo_placed *placed);
 void mo_placed_free(struct mo_placed *placed);
@@ -45,7 +46,7 @@ int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_reques
 int mo_environments_count(struct mo_jobs *jobs, const char *set, uint32_t *n,
                           struct mo_message *message);
 /* Returns whether rollouts take at most about a second of one core, as interactive ones must.
- * springs: total of all designs. */
+ * springs: total over all designs. */
 bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
                  const struct mo_physics *physics, enum mo_precision precision);
 

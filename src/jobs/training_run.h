@@ -27,7 +27,7 @@ struct mo_training_run {
     int64_t end_us;
   } rates[MO_TRAINING_RATES];
   uint64_t n_rates;
-  bool code_noted; /* the lineage has the code of this run, for the back end `noted` */
+  bool code_noted; /* the lineage contains the code of this run, for the back end `noted` */
   enum mo_back_end noted;
   /* If each design is trained separately: the controller that every design starts from; the one
    * that is learning now, and the code that computed its steps. */

@@ -23,7 +23,7 @@ struct mo_verification {
  * never on workers on other machines, and waits for them. With `repair`, replaces those that
  * differ, in one transaction. The caller frees `rows`, even after an error.
  * - MO_ERR_NOT_FOUND: nothing has this origin
- * - MO_ERR_DEVICE: devices computed them, and no device works
+ * - MO_ERR_DEVICE: devices computed these rows, and no device works
  * - MO_ERR_CANCELLED: the service is stopping */
 int mo_jobs_verify(struct mo_jobs *jobs, struct mo_verification *verification);
 

@@ -12,12 +12,13 @@ struct mo_training {
     double beta1_power, beta2_power; /* β^updates */
   } adam;
   uint32_t step;    /* steps that were applied */
-  uint32_t skipped; /* steps that changed no weight; the others are Adam's updates */
+  uint32_t skipped; /* steps that changed no weight; all other steps are updates of Adam */
   uint32_t n_designs;
   uint64_t *designs;                   /* finetune: (n_designs, MO_DEFAULT_WORDS) */
   uint32_t n_environments;             /* 0: the run draws its environments */
   struct mo_environment *environments; /* (n_environments) its own */
-  bool draws_worlds;                   /* only the tasks are its own; or it has no environments */
+  bool draws_worlds;                   /* environments are drawn: the run has only its own tasks, or
+                                          neither tasks nor environments */
   uint64_t draws; /* pretrain: draws of the stream up to the current step; a replay must reach this
                      number */
 
@@ -79,7 +80,7 @@ int mo_training_allocate_environments(struct mo_training *training, uint32_t n);
 /* Gives a drawn environment the task of another, and its light if the task moves the light. */
 void mo_training_give_task(const struct mo_environment *tasked, struct mo_environment *environment);
 /* A training run's own environments as bytes: in their packed form, all in the first version that
- * has all their fields. */
+ * includes all their fields. */
 unsigned mo_training_environments_version(const struct mo_training *training);
 size_t mo_training_environments_bytes(const struct mo_training *training, unsigned version);
 void mo_training_environments_pack(const struct mo_training *training, unsigned version,
@@ -89,8 +90,8 @@ void mo_training_environments_pack(const struct mo_training *training, unsigned 
 int mo_training_environments_unpack(struct mo_training *training, unsigned version,
                                     const uint8_t *bytes, size_t size, size_t *used);
 
-/* checkpoint.c: CRC-64/XZ: detects every error within 64 bits in a row, and all but 1 in 2^64
- * others. */
+/* checkpoint.c: CRC-64/XZ: detects every error burst of at most 64 bits, and all but one in 2^64
+ * other errors. */
 uint64_t mo_checksum(const uint8_t *bytes, size_t n);
 
 #endif

@@ -1,4 +1,4 @@
-/* form_set.h: the layout of a set of forms, and the addition of many forms on several threads.
+/* form_set.h: the layout of a set of forms, and adding many forms on several threads.
  */
 #ifndef MORPHO_MORPHOSPACE_FORM_SET_H
 #define MORPHO_MORPHOSPACE_FORM_SET_H
@@ -21,7 +21,8 @@ struct mo_form_set {
   size_t mapped_bytes;
 };
 
-/* Returns the hash that places a form; also a checksum of many bytes. n ≥ 1. */
+/* Returns the hash that determines the slot of a form; also serves as a checksum of many bytes. n ≥
+ * 1. */
 uint64_t mo_form_hash(const uint8_t *bytes, size_t n);
 /* Makes a copy with a different capacity, above `used`. n: bytes of a form. MO_ERR_NO_MEMORY. */
 int mo_form_segment_copy(const struct mo_form_segment *segment, size_t n, uint64_t capacity,

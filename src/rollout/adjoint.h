@@ -19,14 +19,14 @@ struct mo_adjoint {
 };
 
 /* Turns ∂loss/∂ the state after step number `step`, which is on the tape, into ∂loss/∂ the state
- * before it. Held outputs also act in later steps: the adjoint carries what those steps contribute
- * until the step that computed the outputs, whose tape then has what mo_controller_accumulate
- * needs. */
+ * before it. Held outputs also act in later steps: the adjoint accumulates the contributions of
+ * those steps until it reaches the step that computed the outputs. The tape of that step then
+ * contains what mo_controller_accumulate needs. */
 void mo_adjoint_step(const struct mo_reference *reference, uint32_t step, struct mo_step_tape *tape,
                      struct mo_adjoint *adjoint);
 
-/* Computes ∂loss/∂(the final state), which has the center of mass com_m, times `weight`; for a
- * plain task. */
+/* For a plain task, computes ∂loss/∂(the final state), times `weight`; com_m: the center of mass of
+ * that state. */
 void mo_adjoint_start(const struct mo_reference *reference, const double *com_m,
                       const struct mo_goal *goal, double weight, struct mo_adjoint *adjoint);
 

@@ -5,12 +5,12 @@
 
 #include "rollout/fast.h"
 
-/* The springs of a panel as the measures see them at the start of a control period. */
+/* Data about the springs of a panel that measures need at the start of a control period. */
 struct mo_observed_springs {
   const void *inverse_rests; /* (n) 1 / rest length */
   const void *means;         /* (n, lanes) mean of the new and the previous activations */
   const void *news;          /* (n, lanes) the new activations */
-  void *squares;             /* (lanes) square of the largest strain so far */
+  void *squares;             /* (lanes) squares of the largest strains so far */
   void *pulls; /* (lanes) the sum over the springs of L0 (mean − new) (L − L0 (1 + actuation ·
                   mean)), where that is positive; times 2 · stiffness · actuation, it is the energy
                   that these springs gain */

@@ -11,7 +11,7 @@ static inline size_t mo_aligned(size_t bytes)
   return (bytes + MO_ALIGNMENT - 1) / MO_ALIGNMENT * MO_ALIGNMENT;
 }
 
-/* With base NULL, only computes the size. */
+/* If `base` is NULL, only the size is computed. */
 struct carver {
   char *base;
   size_t used;

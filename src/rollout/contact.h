@@ -6,8 +6,8 @@
 
 #include <morpho/rollout.h>
 
-/* Return when, in [0, dt], a mass that leaves `position` with `velocity` first goes below the
- * terrain. It must be below the terrain after dt. */
+/* Return the time in [0, dt] at which a mass that leaves `position` with `velocity` first goes
+ * below the terrain. The mass must be below the terrain after dt. */
 double mo_impact_exact(const struct mo_environment *environment, const double position_m[3],
                        const double velocity_m_per_s[3], double dt_s);
 double mo_impact_bisection(const struct mo_environment *environment, const double position_m[3],
@@ -19,9 +19,9 @@ bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *
                      const struct mo_environment *environment, double highest_m,
                      double position_m[3], double velocity_m_per_s[3]);
 
-/* For `split`, a mass that is less than this above the ground lies on it. It is above the rounding
- * errors of float32 on all but extreme terrains, and about the distance that a mass falls from rest
- * in 0.4 ms. */
+/* For `split`, a mass that is less than this above the ground counts as lying on it. This height
+ * exceeds the rounding errors of float32 on all but extreme terrains, and is about the distance
+ * that a mass falls from rest in 0.4 ms. */
 #define MO_LIES_M 1e-6
 
 /* Like mo_contact_move, for `split`. velocity: in the middle of the step; acceleration: due to

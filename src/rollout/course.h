@@ -8,18 +8,19 @@
 
 #include <morpho/rollout.h>
 
-/* The constants of a rollout's task. */
+/* The constants of the task of a rollout. */
 struct mo_course {
   const struct mo_environment *environment;
-  double start_m[3]; /* center of mass */
-  double scale_m; /* the loss's unit of distances, also of adjoints: docs/numerics.md, Clipping */
-  double end_s;   /* when the rollout ends */
+  double start_m[3];  /* center of mass */
+  double scale_m;     /* the unit of distances in the loss, and in adjoints: docs/numerics.md,
+                         Clipping */
+  double end_s;       /* time at which the rollout ends */
   uint32_t n_periods; /* control periods, of which the last may be shorter */
 };
 
 /* What a task adds up in addition to the sum of struct mo_track. */
 struct mo_tally {
-  double sums[5];     /* of a sum's terms: course.c numbers them */
+  double sums[5];     /* of the terms of a sum, as numbered in course.c */
   double peak_m;      /* jump: largest height of the center of mass at the instants that count */
   double soft;        /* jump: sum over these instants of exp((height − peak_m) / softness) */
   uint32_t n_heights; /* jump: number of these instants */
@@ -51,13 +52,14 @@ struct mo_observed {
                              rounding; NULL if there are none */
 };
 
-/* ∂loss/∂ what lasts from one instant to the next, and what that depends on. */
+/* ∂loss/∂ the quantities that are carried from one instant to the next, and what these derivatives
+ * depend on. */
 struct mo_course_adjoint {
   double d_sum, d_along;
   double d_sums[5], d_peak; /* of a sum's terms; of a jump */
   double d_work;            /* per J; 0 for tasks that do not need the work */
   struct mo_tally tally;    /* at the end */
-  double loss;              /* that is differentiated: mo_course_soft_loss */
+  double loss;              /* the loss that is differentiated: mo_course_soft_loss */
   double work_j;
 };
 
@@ -90,9 +92,9 @@ void mo_course_end_back(const struct mo_course *course, const struct mo_track *b
                         const struct mo_track *track, double work_j,
                         struct mo_course_adjoint *adjoint, double d_com[3]);
 
-/* Runs an instant backward, from ∂loss/∂ the light that was placed there: the adjoint becomes
- * that before the instant; sets d_com. before: NULL at the start of the rollout; track[1] is at the
- * next instant. */
+/* Runs an instant backward, from ∂loss/∂ the light that was placed there: updates the adjoint to
+ * that before the instant, and sets d_com. before: NULL at the start of the rollout; track[1] is at
+ * the next instant. */
 void mo_course_back(const struct mo_course *course, double t_s, const struct mo_track *before,
                     const struct mo_track *track, const double d_light[3],
                     struct mo_course_adjoint *adjoint, double d_com[3]);

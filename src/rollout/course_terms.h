@@ -1,5 +1,5 @@
 /* course_terms.h: the terms of a task's objective, and the sums that they need. Only for course.c
- * and course_back.c, which have the same case for each term. */
+ * and course_back.c, both of which have a case for each term. */
 #ifndef MORPHO_ROLLOUT_COURSE_TERMS_H
 #define MORPHO_ROLLOUT_COURSE_TERMS_H
 
@@ -8,7 +8,8 @@
 #include "rollout/course.h"
 #include "rollout/distance.h"
 
-/* What objectives and measures add up. For a single objective, struct mo_track has the sum. */
+/* The sums that objectives and measures need. For a single objective, the sum is in struct
+ * mo_track. */
 enum { WAY, AWAY, OFF, PATH, HEIGHT, SUMS };
 _Static_assert(SUMS == sizeof(((struct mo_tally *)0)->sums) / sizeof(double), "one place each");
 
@@ -55,7 +56,7 @@ static inline double weight_of(const struct mo_course *course, uint32_t i)
 
 #define MEASURE(name) (MO_TERM_MEASURE + MO_MEASURE_##name)
 
-/* Returns the sum that a term has, or SUMS. */
+/* Returns the sum that a term uses; SUMS: no sum. */
 static inline unsigned sum_of_term(uint32_t term)
 {
   switch (term) {
@@ -94,7 +95,7 @@ static inline double sum_in(const struct mo_course *course, const struct mo_trac
   return is_sum(course) ? track->tally.sums[sum] : track->sum;
 }
 
-/* Returns the place of ∂loss/∂ a sum. */
+/* Returns the address of ∂loss/∂ a sum. */
 static inline double *d_sum_at(const struct mo_course *course, struct mo_course_adjoint *adjoint,
                                unsigned sum)
 {

@@ -2,10 +2,10 @@
  * Internal to this room.
  *
  * Every array of reals is of the pack's precision and 64-byte aligned. "Lanes" are environments:
- * MO_BLOCK_LANES values side by side, so that a spring or a mass is one vector operation for all
- * environments and needs no gather. The controller's matrices are cut into panels of `panel`
- * outputs, (k, panel) row-major, so that products run with outputs side by side and every
- * environment is one row. */
+ * MO_BLOCK_LANES values are stored side by side, so that one vector operation handles a spring or a
+ * mass in all environments, without a gather. The controller's matrices are cut into panels of
+ * `panel` outputs, (k, panel) row-major, so that matrix products compute several outputs side by
+ * side, and every environment is one row. */
 #ifndef MORPHO_ROLLOUT_FAST_H
 #define MORPHO_ROLLOUT_FAST_H
 
@@ -51,10 +51,10 @@ struct mo_fast_run {
   const struct mo_environment *const *environments;
   uint32_t n_environments;
   const struct mo_physics *physics;
-  uint32_t control_steps, first_step;      /* in a control period; what the block begins with */
+  uint32_t control_steps, first_step;      /* steps in a control period; first step of the block */
   const struct mo_state *from;             /* (n_environments); NULL: the usual start */
   struct mo_state *to;                     /* (n_environments); NULL: not requested */
-  struct mo_constants constants[MO_LANES]; /* of the environments */
+  struct mo_constants constants[MO_LANES]; /* of each environment */
   const struct mo_recording *recordings;
   const struct mo_measuring *measuring;   /* NULL: no measures */
   unsigned observations, needs[MO_LANES]; /* measuring.h, for measures and tasks: of all, of each */
@@ -67,9 +67,9 @@ struct mo_fast_run {
   void *output_bias;     /* (n_panels · panel) */
   uint32_t *spring_ends; /* (n_springs, 2) offsets of the masses in the arrays below */
   void *spring_rest;     /* (n_springs) rest lengths */
-  bool breaks;           /* an environment cuts springs */
-  void *intact;          /* (n_springs, lanes) 1, or 0: cut; only if it breaks */
-  uint8_t *cut;          /* (n_springs) room for one environment's; only if it breaks */
+  bool breaks;           /* some environment cuts springs */
+  void *intact;          /* (n_springs, lanes) 1, or 0 if cut; only if `breaks` */
+  uint8_t *cut;          /* (n_springs) the springs cut in one environment; only if `breaks` */
   void *position[2];     /* (n_masses, 3, lanes): now and next; x, y from the world's center */
   void *velocity;        /* (n_masses, 3, lanes) */
   void *coasted;         /* (n_masses, 3, lanes) velocities without the springs; for `split` only */
@@ -78,13 +78,13 @@ struct mo_fast_run {
   void *hidden;          /* (2, lanes, 256) */
   void *activation;      /* (lanes, panel) */
   bool keeps;    /* activations outlive a step: control periods, `split`, measures, states */
-  bool blends;   /* `split`, or for measures */
+  bool blends;   /* springs use mean activations: `split`, or for measures */
   void *held;    /* (n_panels · panel, lanes) the latest activations; one panel's if not kept */
-  void *blended; /* (panel, lanes) the mean of new and previous activations, if it blends */
+  void *blended; /* (panel, lanes) the mean of new and previous activations; only if `blends` */
   void *terrain; /* (lanes, MO_CELLS, 4) */
   uint32_t *contacts; /* (n_masses) bits of the lanes that touched the terrain, in steps that end
                        * at a frame or a state, or are observed; undefined in other steps */
-  /* Only if something is observed: measuring.h has the first two. */
+  /* Only if something is observed: the first two are described in measuring.h. */
   double (*rows)[3];    /* (n_masses) */
   uint8_t (*halves)[2]; /* (n_masses) */
   void *turn_rows;      /* (n_masses, 2) reals: what the yaw needs of `rows` */
@@ -141,7 +141,7 @@ mo_gradient_function *mo_gradient_find(enum mo_isa isa);
 uint32_t mo_isa_vector_bytes(enum mo_isa isa);
 
 /* Compute sin, exp and the natural logarithm from only IEEE operations, so that the bits do not
- * depend on which variant the C library chooses for the CPU. Within 2 ulp of the exact value for
+ * depend on the variant that the C library chooses for the CPU. Within 2 ulp of the exact value for
  * |x| ≤ 1e6, −700 ≤ x ≤ 0 and normal x > 0 respectively. */
 double mo_fast_sin(double x);
 double mo_fast_exp(double x);

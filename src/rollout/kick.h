@@ -2,10 +2,10 @@
  *
  *   v' = keep · v + push · J/m − (0, 0, fall),   J: the impulse of the springs
  *
- * The paper's integrator adds what forces do in a step to a velocity that drag has slowed. `split`
- * is leapfrog with drag in closed form: v is the velocity in the middle of a step, and the kick
- * solves v' = −drag v + F/m over the time between two middles with F constant. The first kick comes
- * from rest, over half a step. */
+ * The paper's integrator first slows the velocity by drag, and then adds the effect of the forces
+ * in the step. `split` is leapfrog with drag in closed form: v is the velocity in the middle of a
+ * step, and the kick solves v' = −drag v + F/m over the time between two middles with F constant.
+ * The first kick starts from rest and covers half a step. */
 #ifndef MORPHO_ROLLOUT_KICK_H
 #define MORPHO_ROLLOUT_KICK_H
 

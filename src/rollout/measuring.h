@@ -1,6 +1,6 @@
 /* measuring.h: the measures of one rollout, from what the reference and the CPU kernels observe:
- * sums in float64, and the measures computed from them. docs/model.md has the definitions. Internal
- * to this room.
+ * sums in float64, and the measures computed from them. docs/model.md defines the measures.
+ * Internal to this room.
  *
  * The control periods that start at t_0 = 0, t_1, …, t_{K−1}, and the end, t_K, are the instants.
  */
@@ -39,7 +39,7 @@ struct mo_observer {
   double start_turn[2]; /* of the pose */
   struct mo_pose last;
   double path_m, height_sum_m, peak_height_m;
-  int64_t turns; /* whole turns to the left since the start, counted where the yaw passes π */
+  int64_t turns; /* whole turns to the left since the start, counted when the yaw passes π */
   uint64_t air_steps, hops;
   uint64_t contacts;        /* in the first steps of the periods */
   uint64_t front_2, left_2; /* twice the number of them in these halves */
@@ -68,8 +68,8 @@ void mo_measures_round(uint32_t set, const double observed[MO_MEASURES],
                        double values[MO_MEASURES]);
 
 /* Computes each mass's row of the pseudo-inverse of the masses at rest, (n_masses, 3): the sum over
- * the masses of position ⊗ row is F. Rows sum to 0, so it does not matter where positions are
- * counted from. */
+ * the masses of position ⊗ row is F. Rows sum to 0, so the origin of the positions does not
+ * matter. */
 void mo_measuring_frame(const struct mo_body *body, double (*rows)[3]);
 
 /* Writes for each mass 2, 1 or 0: in the front half of the body at rest, on the line between the

@@ -19,7 +19,7 @@ struct mo_step_tape {
   double *position_m;       /* (n_masses, 3) at the start of the step */
   double *velocity_m_per_s; /* (n_masses, 3) after springs, drag and gravity, before contact */
   double *acceleration;     /* (n_masses, 3) m/s² by springs and gravity */
-  double *activation;       /* (n_springs) what the springs pulled with */
+  double *activation;       /* (n_springs) the activations with which the springs pulled */
   double *previous;         /* (n_springs) the controller's outputs in the previous step */
   struct mo_controller_tape control; /* over the body's springs; the steps of a control period share
                                         one */
@@ -40,7 +40,8 @@ struct mo_reference {
   bool works;               /* the task or a measure needs work_j */
   double work_j;            /* of the actuators so far */
   struct mo_track *tracks;  /* (control periods + 1) at the start of each, and at the end; NULL if
-                               the task is plain. Before a window's, the latest instant */
+                               the task is plain. In a window, the latest instant before it comes
+                               first */
   double highest_m;         /* of the terrain */
   double *position_m;       /* (n_masses, 3) */
   double *velocity_m_per_s; /* (n_masses, 3) */
@@ -66,7 +67,8 @@ int mo_reference_init_from(struct mo_reference *reference, const struct mo_body 
                            const struct mo_physics *physics, const struct mo_state *from);
 void mo_reference_done(struct mo_reference *reference);
 
-/* Writes the state after the last step; not its observers' part of the tally. */
+/* Writes the state after the last step, except for the part of the tally that belongs to
+ * observers. */
 void mo_reference_save(const struct mo_reference *reference, struct mo_state *to);
 
 /* Runs step number `step`, from 0. Its tape must hold the controller's outputs of the previous

@@ -7,8 +7,10 @@
 
 /* All zero: no measures. */
 struct mo_reference_measures {
-  uint32_t set, wanted;         /* what is observed; what `values` gets */
-  double *values;               /* where those of the set go; NULL: only the task needs them */
+  uint32_t set, wanted;         /* measures that are observed; measures that are written to
+                                   `values` */
+  double *values;               /* receives the measures of the set; NULL: only the task needs
+                                   measures */
   double observed[MO_MEASURES]; /* without rounding */
   struct mo_observer observer;
   double (*rows)[3];    /* (n_masses) mo_measuring_frame */

@@ -13,19 +13,19 @@ void mo_scene_start(const struct mo_body *body, const struct mo_environment *env
                     const struct mo_physics *physics, double *position_m);
 
 /* Returns how far above the ground a rollout starts: the drop height of the physics plus the
- * environment's. Every path takes it from here. */
+ * environment's. The reference, the kernels and the devices all use this function. */
 static inline double mo_scene_drop_m(const struct mo_environment *environment,
                                      const struct mo_physics *physics)
 {
   return physics->drop_height_m + environment->drop_m;
 }
 
-/* Returns the constants of a rollout: those of the physics times the environment's factors. Every
- * path takes them from here. */
+/* Returns the constants of a rollout: those of the physics times the environment's factors. The
+ * reference, the kernels and the devices all use this function. */
 struct mo_constants mo_scene_constants(const struct mo_environment *environment,
                                        const struct mo_physics *physics);
 
-/* Places the light of a plain task, which stands on the terrain. course.h has other tasks. */
+/* Places the light of a plain task, which stands on the terrain. course.h handles other tasks. */
 void mo_scene_light(const struct mo_environment *environment, double light_m[3]);
 
 /* Computes the plain mean of n positions (n, 3), summed in order. */

@@ -17,14 +17,14 @@ struct mo_window {
 /* from: a checked state, or NULL. control_steps is 0 if the period is invalid. */
 struct mo_window mo_window_of(const struct mo_scheme *scheme, const struct mo_state *from);
 
-/* Calls mo_state_check, and checks that a tally that continues has observed what is to be observed
- * now. */
+/* Calls mo_state_check, and checks that a tally that continues includes everything that must be
+ * observed now. */
 int mo_window_check(const struct mo_state *from, const struct mo_body *body,
                     const struct mo_environment *environment, const struct mo_physics *physics,
                     enum mo_precision precision, unsigned observations, struct mo_message *message);
 
-/* Writes what a state must have in common with the rollout that starts from it, and its tally's
- * task. */
+/* Writes the data that a state must have in common with the rollout that starts from it, and the
+ * task of its tally. */
 void mo_window_identify(const struct mo_environment *environment, const struct mo_physics *physics,
                         struct mo_state *state);
 
@@ -38,7 +38,8 @@ void mo_window_course(const struct mo_window *window, const struct mo_state *fro
                       const struct mo_environment *environment, const struct mo_scheme *scheme,
                       const double com_start_m[3], struct mo_course *course,
                       struct mo_track *track);
-/* Begins or continues an observer. A new one at a later step than 0 needs mo_observer_pose. */
+/* Begins or continues an observer. A new observer that begins after step 0 needs
+ * mo_observer_pose. */
 void mo_window_observer(const struct mo_window *window, const struct mo_state *from, uint32_t begun,
                         const struct mo_body *body, const struct mo_environment *environment,
                         const struct mo_physics *physics, const double com_start_m[3],

@@ -1,5 +1,5 @@
 /* atlas_files.h: the complete atlases of the state folder: lists, stores and deletes their files.
- * atlas_names.h has their names. Errors also as in store.h. */
+ * Their names are defined in atlas_names.h. Other errors as in store.h. */
 #ifndef MORPHO_STORE_ATLAS_FILES_H
 #define MORPHO_STORE_ATLAS_FILES_H
 

@@ -24,8 +24,9 @@ char *mo_store_atlas_path(const struct mo_store *store, const char *name);
 /* Returns the type of what is at a path, as of stat, without following links; 0: nothing. */
 mode_t mo_store_atlas_type(const char *path);
 
-/* MO_ERR_CONFLICT: an atlas has this name, or a job that has not ended, or that failed and can be
- * resumed, builds it; message (nullable) says which, and what to do. Errors as in store.h. */
+/* MO_ERR_CONFLICT: an atlas with this name exists, or is built by a job that has not ended, or that
+ * failed and can be resumed; message (nullable) says which, and what to do. Errors as in
+ * store.h. */
 int mo_store_atlas_name_check(struct mo_store *store, const char *name, struct mo_message *message);
 
 #endif

@@ -2,8 +2,9 @@
  *
  * The bodies with a finite score are ranked, best first, with ties in the order of positions.
  * Stratum i of `count` has the places floor(i · bodies / count) up to but not including
- * floor((i + 1) · bodies / count); one of them is drawn, all equally likely, with the seed. So the
- * places follow from the numbers of the sample alone, also when the atlas no longer exists. */
+ * floor((i + 1) · bodies / count); one of them is drawn, all equally likely, with the seed. The
+ * places therefore follow from the numbers of the sample alone, even when the atlas no longer
+ * exists. */
 #ifndef MORPHO_STORE_ATLAS_SAMPLE_H
 #define MORPHO_STORE_ATLAS_SAMPLE_H
 
@@ -17,17 +18,17 @@
 #define MO_ATLAS_SAMPLE_MAX 10000 /* bodies */
 
 struct mo_atlas_sample {
-  char atlas[MO_ATLAS_NAME_MAX + 1]; /* its name then; "": no sample */
+  char atlas[MO_ATLAS_NAME_MAX + 1]; /* its name when the sample was drawn; "": no sample */
   uint32_t count;                    /* 1 … MO_ATLAS_SAMPLE_MAX, at most `bodies` */
   uint64_t seed;
-  char sha256[MO_SHA256_DIGITS + 1]; /* of the file. Of a request: "": of any file */
+  char sha256[MO_SHA256_DIGITS + 1]; /* of the file. In a request: "": any file */
   /* From the file. */
   uint32_t bodies, diverged;                /* ranked; left out, because the score is infinite */
   int orientations;                         /* enum mo_atlas_orientations */
   char environments[MO_NAME_BYTES_MAX + 1]; /* a word of mo_set_words; "": other environments */
   char controller[MO_SHA256_DIGITS + 1];    /* hash of the controller of all scores */
 };
-/* All members, as in the database; the first four, which requests have; the others. */
+/* All members, as in the database; the first four, which requests contain; the others. */
 extern const struct mo_fields mo_atlas_sample_fields, mo_atlas_asked_fields, mo_atlas_drawn_fields;
 
 /* Opens the atlas, draws the bodies, from the best stratum to the worst, as canonical forms (count,

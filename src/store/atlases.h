@@ -1,10 +1,10 @@
 /* atlases.h: jobs that build atlases: settings, progress, and the file that grows.
  *
  * An atlas is a job of kind MO_JOB_ATLAS. Its settings never change. Its results are only in the
- * file of its name (atlas_names.h), never rows: a job continues where the file ends. The file is
+ * file of its name (atlas_names.h), never in rows: a job continues where the file ends. The file is
  * durable before the row says so; after a crash, the row may lag behind. It may be ahead by less
- * than one block if the crash hit a save, which overwrites the previous one of the same block; then
- * those bodies are computed again.
+ * than one block if the crash interrupted a save, which overwrites the previous save of the same
+ * block; those bodies are then computed again.
  *
  * Threads and errors as in store.h. */
 #ifndef MORPHO_STORE_ATLASES_H

@@ -17,11 +17,12 @@ struct mo_campaign_design {
   bool is_cut;  /* the score is a lower bound: scoring stopped early, because the design cannot
                    survive */
   struct mo_design_size size;
-  struct mo_certified certified; /* by the newest certificate under a controller of the campaign */
-  struct mo_re_evaluated held_out; /* newest; of a population: not after its generation */
+  struct mo_certified certified;   /* the newest certificate under a controller of the campaign */
+  struct mo_re_evaluated held_out; /* the newest result; in a population: not newer than its
+                                      generation */
   /* Of a study. */ char
       own_operator[MO_STUDY_WORD_MAX + 1]; /* "": descent.op is one of enum mo_operator */
-  uint32_t n_measures;                     /* also of a campaign that names measures */
+  uint32_t n_measures;                     /* also for a campaign that names measures */
   double measures[MO_DESIGN_MEASURES_MAX]; /* (n_measures) NaN: not given, or no mean */
 };
 /* Returns the name of the operator that created a design. */
@@ -77,7 +78,7 @@ struct mo_campaign_place {
   int64_t campaign;
   uint32_t number;
 };
-/* Finds births of a form, by campaign, in campaigns > after_campaign. */
+/* Finds births of a form in campaigns with ids above after_campaign, in order of campaigns. */
 int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_genotype *form,
                                      int64_t after_campaign, struct mo_campaign_place *places,
                                      size_t limit);

@@ -35,21 +35,21 @@ extern const char *const mo_worlds_words[]; /* "random", "environments", "tasks"
 
 /* The settings of a campaign. */
 struct mo_campaign_record {
-  struct mo_campaign_settings settings; /* generations: including extensions */
+  struct mo_campaign_settings settings; /* generations includes extensions */
   /* Name of the resulting controller, for a campaign that learns; "": "campaign-<id>". */
   char name[MO_NAME_BYTES_MAX + 1];
   char preset[16];                             /* as requested; "": none */
   char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": listed in the request */
-  uint32_t n_environments;                     /* with a set, the store fills it in */
+  uint32_t n_environments;                     /* if there is a set, the store fills it in */
   uint32_t n_listed;                           /* initial designs listed in the request */
-  int64_t initial_campaign; /* this campaign's newest population at submission is the initial one;
-                               0: none */
+  int64_t initial_campaign; /* the campaign from which the initial population was taken: its newest
+                               one at submission; 0: none */
   int64_t group;            /* id of the first replicate, set in the first one as well */
   uint32_t replicate, replicates; /* number in the group, from 0; size of the group */
-  uint32_t checkpoint_every_s;    /* while a generation learns; 0: only at its end */
+  uint32_t checkpoint_every_s;    /* while a generation is learning; 0: only at its end */
   enum mo_worlds worlds;          /* of a campaign that learns; otherwise MO_WORLDS_RANDOM */
   uint32_t measures; /* as bits: the measures of each design; all rollouts are then measured */
-  struct mo_select_by select_by; /* by one of them */
+  struct mo_select_by select_by; /* selects by one of these measures */
   /* The score, if it is not the mean loss: the client of a study sends it, or it follows from
    * select_by. */
   struct mo_own_score own_score;
@@ -67,11 +67,11 @@ struct mo_campaign_generation {
   uint32_t generation;
   uint64_t born_before; /* number of its first child: the designs born in earlier generations */
   uint32_t n_children;
-  uint32_t children_cut;            /* children whose score is a lower bound */
-  struct mo_population_stats stats; /* of the population after selection */
-  double mean_parents,
-      mean_children; /* mean scores before selection, without designs that diverged; NaN: none. The
-                        children's mean includes lower bounds if any child was cut */
+  uint32_t children_cut;              /* children whose score is a lower bound */
+  struct mo_population_stats stats;   /* of the population after selection */
+  double mean_parents, mean_children; /* mean scores before selection, without designs that
+                                         diverged; NaN: no design is left. The children's mean
+                                         includes lower bounds if any child was cut short */
   struct mo_variation_counts variation;
   uint32_t survived_mutants,
       survived_recombinants; /* children that selection kept; fallbacks count as mutants */
@@ -81,7 +81,7 @@ struct mo_campaign_generation {
   uint32_t learning_steps;      /* in this generation */
   double first_loss, last_loss; /* mean training loss of its first and last step; NaN: none */
   struct mo_held_out_summary held_out; /* of the population */
-  bool collapse;                       /* this generation raised the diversity warning */
+  bool collapse;                       /* this generation triggered the diversity warning */
   double seconds;                      /* wall time since the previous generation, without pauses */
   int64_t stored_us;
 };

@@ -26,12 +26,12 @@ struct mo_campaign_state {
   double *scores;            /* (n) */
   uint64_t n_designs;
   double diversity_max;
-  bool race_pays; /* as committed; initially false */
+  bool race_pays; /* as committed with the generation; initially false */
 };
 int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campaign_state **state);
 void mo_campaign_state_free(void *state); /* NULL-safe */
 /* Calls `take` with the genotype of every design ever born, in order, on the caller's thread. Stops
- * at a non-zero result and returns it. */
+ * at the first non-zero result, and returns it. */
 int mo_store_campaign_each(struct mo_store *store, int64_t id,
                            int (*take)(void *context, const struct mo_genotype *genotype),
                            void *context);
@@ -64,8 +64,8 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
 /* Finds genotypes with stored losses in environments of the campaign, under its controller and
  * physics (zero-shot). Uses losses computed by the code with this fingerprint or, where there are
  * none, by the code of `workers` (0: none). losses: room for n; place: index in `genotypes`; NaN:
- * not stored. Where its `measures` are not NULL, they are room for the measures, and a loss without
- * stored measures is not found. Returns the number found. */
+ * not stored. Where `measures` of an element is not NULL, it is space for the measures, and a loss
+ * without stored measures counts as not found. Returns the number found. */
 int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
                                 int64_t workers, const struct mo_bits *genotypes, uint32_t n,
                                 struct mo_campaign_loss *losses);
@@ -101,12 +101,12 @@ struct mo_campaign_commit {
   uint32_t n_measures;
   bool is_study;                  /* the job is requeued after the commit */
   const uint32_t *parent_numbers; /* (n_parents) the previous population, in its order */
-  const double *parent_scores;    /* (n_parents) as used by the selection */
+  const double *parent_scores;    /* (n_parents) as used in the selection */
   uint32_t n_parents;
   const uint32_t *survivors; /* (n_survivors) places in parents, then children; in the order of the
                                 new population */
   uint32_t n_survivors;
-  bool race_pays;                         /* race in the next generation */
+  bool race_pays;                         /* children race in the next generation */
   const struct mo_re_evaluated *held_out; /* (n_held_out) if the generation was re-evaluated */
   uint32_t n_held_out;
   /* (n_losses) zero-shot: losses of the children, stored in `scores` like the losses of

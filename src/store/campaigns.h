@@ -3,8 +3,8 @@
  * A campaign is a job of kind MO_JOB_CAMPAIGN. Its settings never change, except the number of
  * generations (extend). A generation is committed in one transaction: designs, births, deaths,
  * scores, population, statistics, learning curve, and the row of the checkpoint that the next
- * generation starts from. Losses of the current generation, and checkpoints within its learning,
- * are saved earlier; the commit deletes them.
+ * generation starts from. Losses of the current generation, and checkpoints during its learning,
+ * are saved before that; the commit deletes them.
  *
  * A campaign numbers its designs 0, 1, … in order of birth: initial population, then each
  * generation's children in the order of variation. The births of a generation are one BLOB, and its

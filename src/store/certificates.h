@@ -17,7 +17,7 @@
 #define MO_CERTIFICATE_PART         64       /* environments; the last part may have fewer */
 #define MO_CERTIFICATE_ROLLOUTS_MAX 10000000 /* of all trials */
 
-/* What the job with the designs provided, because the request did not have it. */
+/* What was taken from the job with the designs, because the request did not specify it. */
 enum mo_certificate_taken {
   MO_TAKEN_CONTROLLER = 1,
   MO_TAKEN_ENVIRONMENTS = 2,
@@ -53,8 +53,8 @@ struct mo_certificate_request {
   const char *environment_set;               /* NULL: listed */
   const struct mo_environment *environments; /* (n_environments) */
   uint32_t n_environments;
-  uint32_t best; /* how many of the best designs of record.population */
-  /* Without them, those of record.population are taken, if there is one. */
+  uint32_t best; /* number of best designs of record.population to certify */
+  /* If false, those of record.population are used, if there is one. */
   bool has_environments, has_physics;
 };
 /* Errors as in mo_store_submit. */
@@ -69,9 +69,9 @@ int mo_store_certificate(struct mo_store *store, int64_t id, struct mo_certifica
 /* Like mo_store_jobs, but only certificates; ignores the query's kind. */
 int64_t mo_store_certificates(struct mo_store *store, const struct mo_job_query *query,
                               void *statuses /* struct mo_certificate_status */, size_t limit);
-/* Reads what the trials are built from. *environments: the base's, which base->environments
- * borrows; the caller frees them with mo_environments_free (base->n_environments, 0 after an
- * error). */
+/* Reads the data from which the trials are built. *environments: the base's, which
+ * base->environments borrows; the caller frees them with mo_environments_free
+ * (base->n_environments, 0 after an error). */
 int mo_store_certificate_base(struct mo_store *store, const struct mo_certificate_status *status,
                               struct mo_environment **environments,
                               struct mo_certificate_base *base);

@@ -1,5 +1,5 @@
-/* certified.h: which designs have a certificate, and what it says in brief. Certificates that have
- * succeeded count. */
+/* certified.h: which designs have a certificate, and its verdict. Only certificates that succeeded
+ * count. */
 #ifndef MORPHO_STORE_CERTIFIED_H
 #define MORPHO_STORE_CERTIFIED_H
 

@@ -28,7 +28,7 @@ struct mo_checkpoint {
 /* Writes the row, in an operation. */
 int mo_checkpoint_row_write(struct mo_store *store, const struct mo_checkpoint *checkpoint);
 /* Deletes, in an operation, the rows that a query selects. list_sql: ?1 job, ?2 generation, ?3
- * step, ?4 free for the query; columns generation, step, size. */
+ * step, ?4 available to the query; columns generation, step, size. */
 int mo_checkpoint_drop(struct mo_store *store, const char *list_sql, int64_t fourth,
                        struct mo_checkpoint *checkpoint);
 /* Deletes, in an operation, up to 16 checkpoints of jobs that are being deleted (deletion.c). Their

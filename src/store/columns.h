@@ -1,6 +1,6 @@
 /* columns.h: rows of numbers as tables. Each line defines one column: its place in the JSON object,
  * its name in CSV and in the database, its type, and its offset in the row's struct. JSON, CSV and
- * the tables of the database come from the same list. */
+ * the tables of the database are all made from the same list. */
 #ifndef MORPHO_STORE_COLUMNS_H
 #define MORPHO_STORE_COLUMNS_H
 
@@ -21,7 +21,7 @@ struct mo_column {
   enum mo_column_type type;
   size_t offset;
   const char *csv;      /* its name in CSV and in the database; NULL: same as the path */
-  const char *words[2]; /* of a word: false, true */
+  const char *words[2]; /* of MO_COLUMN_WORD: the words for false and true */
 };
 
 struct mo_columns {

@@ -26,7 +26,7 @@ int mo_environment_set_find(struct mo_connection *connection, const char *name, 
  * environments. A single set counts as a suite of one. MO_ERR_NOT_FOUND. */
 int mo_suite_find(struct mo_connection *connection, const char *name, int64_t *rows,
                   uint32_t *n_sets, int64_t *n);
-/* Inserts the environments of a job: those of the sets, set after set. */
+/* Inserts the environments of a job: those of the first set, then those of the next, and so on. */
 int mo_suite_insert(struct mo_connection *writer, int64_t id, const int64_t *sets, uint32_t n_sets);
 
 /* Inserts the environments of a job: the environments of `set`, or the given ones if set is 0. */

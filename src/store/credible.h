@@ -7,7 +7,7 @@
 
 /* Checks the clock, once per round of deletions. The shortest retention time applies to all rules.
  * Stores the newest credible time in the database. If the clock is not credible, the store's
- * figures show how far it is ahead. */
+ * statistics report how far it is ahead. */
 int mo_clock_check(struct mo_store *store);
 /* Returns the result of the last check: whether anything may be deleted by age. */
 bool mo_clock_is_credible(struct mo_store *store);

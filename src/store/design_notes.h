@@ -12,7 +12,7 @@
 
 /* How the orientation of a design was chosen. */
 enum mo_orientation {
-  MO_ORIENTATION_GIVEN = 0,     /* by the request */
+  MO_ORIENTATION_GIVEN = 0,     /* specified in the request */
   MO_ORIENTATION_CANONICAL = 1, /* an id was given, and none of its orientations has a score */
   MO_ORIENTATION_BEST = 2       /* an id was given, and this is the scored orientation with the best
                                    score */

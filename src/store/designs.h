@@ -4,7 +4,7 @@
 
 #include "store/records.h"
 
-/* One page row of designs. */
+/* A row of a page of designs. */
 struct mo_design_row {
   int64_t row;             /* cursor of sort=id */
   struct mo_genotype form; /* canonical */
@@ -86,7 +86,7 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
 /* Returns whether a placed genotype fits a workspace, which is not larger than its own, without
  * being turned. mo_genotype_move also turns bodies, which then have different scores. */
 bool mo_fits_as_it_is(struct mo_workspace workspace, const struct mo_genotype *genotype);
-/* The conditions of a score, apart from the body. */
+/* The conditions of a score, except for the body. */
 struct mo_orienting {
   const char *controller;                    /* name or "sha256:…"; NULL: random weights */
   const char *environment_set;               /* NULL: `environments` */

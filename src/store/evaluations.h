@@ -12,8 +12,8 @@ struct mo_store;
 uint32_t mo_warn_of_physics(const struct mo_physics *physics,
                             struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX]);
 
-/* The same for a time step that is stable, but not with an environment's factors. Returns 0 or
- * 1. */
+/* Writes the same warning for a time step that is stable except with the factors of an environment.
+ * Returns 0 or 1. */
 uint32_t mo_warn_of_world(const struct mo_physics *physics,
                           const struct mo_environment *environment, uint32_t position,
                           struct mo_warning *warning);
@@ -62,7 +62,7 @@ int mo_store_submit(struct mo_store *store, const struct mo_evaluation_request *
 
 /* ---- results ---- */
 
-/* The climb of a design (score_ladder.h), and what its rungs gave. */
+/* The climb of a design (score_ladder.h), and the results of its rungs. */
 struct mo_climbed {
   struct mo_climb climb;
   uint32_t n; /* rungs with complete losses; 0: none yet, or a skipped design */
@@ -76,8 +76,8 @@ struct mo_evaluation_results {
   struct mo_bits *forms;     /* (n_designs) canonical */
   struct mo_bits *genotypes; /* (n_designs) placed, as evaluated */
   double *scores;            /* (n_designs) mean loss; +infinity: a rollout diverged */
-  uint8_t *is_bound; /* (n_designs) 1: the score is a lower bound: losses that were not computed
-                        count as 0, because the design cannot be among the best */
+  uint8_t *is_bound; /* (n_designs) 1: the score is a lower bound, in which losses count as 0 that
+                        were not computed because the design cannot be among the best */
   double *losses;    /* (n_designs, n_environments); +infinity: diverged; NaN: not computed yet, or
                         never */
   int32_t *diverged_steps; /* (n_designs, n_environments); 0: did not diverge */
@@ -132,8 +132,8 @@ struct mo_trajectory_sides {
   uint64_t n; /* stored trajectories */
   uint32_t frames, masses, springs;
 };
-/* Reads how many trajectories an evaluation has, and the largest dimensions among them.
- * MO_ERR_CORRUPT: their numbers of frames differ. */
+/* Reads the number of trajectories of an evaluation, and their largest dimensions. MO_ERR_CORRUPT:
+ * their numbers of frames differ. */
 int mo_store_trajectory_sides(struct mo_store *store, int64_t id,
                               struct mo_trajectory_sides *sides);
 

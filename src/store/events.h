@@ -23,8 +23,8 @@ struct mo_event {
   char data[512]; /* a JSON object */
 };
 
-/* Queues an event that is not about a job, without waiting. type: less than 32 bytes; data: a JSON
- * object of less than 512. MO_ERR_LIMIT. */
+/* Queues an event that is not about a job, without waiting. type: fewer than 32 bytes; data: a JSON
+ * object of fewer than 512 bytes. MO_ERR_LIMIT. */
 int mo_store_event(struct mo_store *store, const char *type, const char *data);
 
 /* Called on the writer's thread after each commit with new events, in order. It must be short and
@@ -41,7 +41,8 @@ void mo_store_unsubscribe(struct mo_store *store, int handle);
 int mo_store_event_before(struct mo_store *store, int64_t after, int64_t *sequence);
 /* Reads events with sequence > after, ascending, at most `limit`; job 0: of all jobs. Returns the
  * number written to `events` or an error. *oldest, *newest (nullable): the range of kept events (0,
- * 0: none yet), up to 18 digits. If after < *oldest − 1, some events were pruned: `reset`. */
+ * 0: no events yet), of up to 18 digits. If after < *oldest − 1, some events were pruned, and the
+ * client needs a `reset`. */
 int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, struct mo_event *events,
                         size_t limit, int64_t *oldest, int64_t *newest);
 

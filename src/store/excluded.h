@@ -2,16 +2,16 @@
  * folder "excluded" of the state folder.
  *
  * Each file can be recreated at any time, so no row refers to it, and errors are never fatal. The
- * least recently used files are removed to free space. A file has the name of a controller, and is
- * removed after that controller, at the next start. Campaigns of other controllers with the same
- * key also use it. */
+ * least recently used files are removed to free space. A file is named after a controller. Once
+ * that controller is removed, the next start removes the file. Campaigns of other controllers with
+ * the same key also use it. */
 #ifndef MORPHO_STORE_EXCLUDED_H
 #define MORPHO_STORE_EXCLUDED_H
 
 #include "store/store.h"
 
-/* Opens the file of this key and marks it as just used. Returns a descriptor, which the caller
- * closes, or MO_ERR_NOT_FOUND, MO_ERR_NO_MEMORY, MO_ERR_IO. */
+/* Opens the file of this key and marks it as most recently used. Returns a descriptor, which the
+ * caller closes, or MO_ERR_NOT_FOUND, MO_ERR_NO_MEMORY, MO_ERR_IO. */
 int mo_store_excluded_open(struct mo_store *store, uint64_t key);
 /* Removes the files of this key. */
 void mo_store_excluded_remove(struct mo_store *store, uint64_t key);

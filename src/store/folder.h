@@ -21,7 +21,7 @@ int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *
  * `folder`. MO_ERR_NO_SPACE: nothing was changed. */
 int mo_file_write(struct mo_store *store, const char *folder, const char *path,
                   const uint8_t *bytes, size_t size);
-/* Does the same; the file gets its name only if `check` (nullable), which reads it under a
+/* Does the same, but the file is given its name only if `check` (nullable), which reads it under a
  * temporary name, returns MO_OK. */
 int mo_file_write_checked(struct mo_store *store, const char *folder, const char *path,
                           const uint8_t *bytes, size_t size,

@@ -1,4 +1,4 @@
-/* hash.h: hashes of the conditions of scores, apart from body and weights. */
+/* hash.h: hashes of the conditions of scores, except for body and weights. */
 #ifndef MORPHO_STORE_HASH_H
 #define MORPHO_STORE_HASH_H
 

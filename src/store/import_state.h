@@ -9,8 +9,8 @@
  * it the state. Jobs that are being deleted have an epoch of 0 or above. */
 #define MO_IMPORT_EPOCH(state) (-1 - (int64_t)(state))
 
-/* Everything except the memory that the pointers refer to is as before a piece when the piece runs
- * again. */
+/* If a piece runs again, everything here is restored to its value before the piece, except for the
+ * memory to which the pointers refer. */
 struct mo_import {
   struct mo_store *store;
   int64_t now_us;
@@ -22,7 +22,7 @@ struct mo_import {
   int64_t id, controller, physics, set;
   uint32_t n_environments;
   int64_t environments[MO_ENVIRONMENTS_MAX]; /* rows */
-  struct mo_condition last; /* of the previous score; usually the same for the next one */
+  struct mo_condition last; /* of the previous score; usually that of the next one, too */
   uint64_t n_losses;        /* new ones, of all campaigns */
   uint32_t conflict;
   /* The evaluation that is being imported. */
@@ -54,11 +54,12 @@ int mo_enter_rollout(struct mo_import *import, const struct mo_saved_trajectory 
 
 /* ---- import_hidden.c: jobs that readers do not see yet; on the writer's thread ---- */
 
-/* Takes a job that has just been inserted out of `usage`, which has each job that readers see. */
+/* Removes a job that has just been inserted from `usage`, which contains each job that readers
+ * see. */
 int mo_import_hide(struct mo_store *store, int64_t id);
 /* Shows all jobs of the import: state, usage, events. */
 int mo_import_show(struct mo_store *store, void *unused);
-/* Turns the hidden jobs into deleted ones. */
+/* Marks the hidden jobs as deleted. */
 int mo_import_forget(struct mo_store *store, void *unused);
 
 /* ---- deletion.c ---- */

@@ -1,9 +1,9 @@
 /* imports.h: campaigns of other stores, imported completely or not at all. The caller has checked
  * the data. Threads and errors as in store.h.
  *
- * An import writes short transactions, so that other writes can go between them. The last one shows
- * all of its jobs, which readers do not see before. If it ends without that one, the rows of its
- * jobs are deleted (deletion.h); controllers, environments, designs and scores stay. */
+ * An import writes short transactions, so that other writes can run between them. The last
+ * transaction makes all of its jobs visible to readers. If the import ends without that one, the
+ * rows of its jobs are deleted (deletion.h); controllers, environments, designs and scores stay. */
 #ifndef MORPHO_STORE_IMPORTS_H
 #define MORPHO_STORE_IMPORTS_H
 

@@ -68,7 +68,7 @@ struct mo_store {
   uint64_t max_recordings_bytes, max_excluded_bytes;      /* 0: no limit; 0: keep none */
   int64_t keep_jobs_us[MO_JOB_KINDS], keep_recordings_us; /* after their end; 0: no limit */
   int64_t last_upkeep_us, credible_us, credible_at_us;    /* as stored, and mo_clock_us() then */
-  unsigned aged_left; /* jobs and recordings that may still expire before the next upkeep */
+  unsigned aged_left; /* deletions by age that are still allowed before the next upkeep */
   void (*upkeep)(struct mo_store *store); /* between batches; nullable */
   bool reserve_whole, is_importing;
   pthread_mutex_t excluded_mutex;    /* held while a file of excluded bodies is written */
@@ -142,7 +142,7 @@ bool mo_reserve_free(struct mo_store *store);
 /* Queues due deletions, including unfinished ones of the last process. Call it after the writer has
  * started. */
 void mo_upkeep_begin(struct mo_store *store);
-/* Same, once a minute, but for recordings only by age. The writer calls it between batches. */
+/* Does this once a minute, with recordings only by age. The writer calls it between batches. */
 void mo_upkeep(struct mo_store *store);
 /* Creates the paper's test set if it is missing. Call it after the writer has started. */
 int mo_make_sets(struct mo_store *store);

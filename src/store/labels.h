@@ -9,7 +9,7 @@ struct mo_store;
 
 /* Changes to a job. NULL removes a text. */
 struct mo_job_edit {
-  bool has_label, has_experiment, has_note, has_archived; /* whether each of these changes */
+  bool has_label, has_experiment, has_note, has_archived; /* whether each of these is changed */
   bool archived;
   const char *label, *experiment, *note;
 };

@@ -11,8 +11,8 @@
  * the checksum. */
 size_t mo_pack_measures(const int64_t *key, size_t n_key, const double (*values)[MO_MEASURES],
                         uint32_t n, uint8_t *bytes);
-/* *n_measures: how many measures were packed: the first ones. The others are NaN. MO_ERR_CORRUPT:
- * wrong size or wrong checksum. */
+/* *n_measures: the number of measures that were packed; these are the first ones, and the others
+ * are NaN. MO_ERR_CORRUPT: wrong size or wrong checksum. */
 int mo_unpack_measures(const int64_t *key, size_t n_key, const uint8_t *bytes, size_t size,
                        uint32_t n, double (*values)[MO_MEASURES], uint32_t *n_measures);
 

@@ -59,9 +59,9 @@ int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
                              struct mo_origin_place *place, struct mo_origin_row *rows,
                              size_t limit, bool *is_last);
 
-/* Replaces the losses and measures of rows that differ by the recomputed ones, with this host as
- * their origin, and updates the means of sets that the losses are part of: all of them, or none on
- * an error. Losses or measures that have changed since they were read stay unchanged. */
+/* Replaces the losses and measures of rows that differ with the recomputed ones, sets their origin
+ * to this host, and updates the means of the sets that contain these losses: for all rows or, on an
+ * error, for none. Losses or measures that have changed since they were read stay unchanged. */
 int mo_store_origin_replace(struct mo_store *store, const struct mo_origin_row *rows, size_t n);
 
 #endif

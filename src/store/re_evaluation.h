@@ -1,5 +1,5 @@
-/* re_evaluation.h: scores of a campaign's best designs in fresh worlds, which select nothing: when
- * they are computed, and their results. */
+/* re_evaluation.h: scores of a campaign's best designs in fresh worlds, which do not affect
+ * selection: when they are computed, and their results. */
 #ifndef MORPHO_STORE_RE_EVALUATION_H
 #define MORPHO_STORE_RE_EVALUATION_H
 
@@ -9,18 +9,20 @@
 
 #include "base/fields.h"
 
-/* Every `every` generations, in the last one, and in one that is short of children, the elite is
- * scored in `environments` fresh worlds, which are new ones for each of these generations; for a
- * set of the suite, they are the first of its held-out worlds. The elite: the best `designs` of the
+/* Every `every` generations, in the last generation, and in one that is short of children, the
+ * elite is scored in `environments` fresh worlds, which differ between these generations; for a set
+ * of the suite, they are the first of its held-out worlds. The elite: the best `designs` of the
  * population, and its champions. */
 struct mo_re_evaluation {
   uint32_t every;        /* 0: never; at most MO_GENERATIONS_MAX */
   uint32_t environments; /* 2 … MO_CERTIFICATE_HELD_OUT_MAX; 64 */
   uint32_t designs;      /* 1 … MO_ELITE_BEST_MAX; 10 */
 };
-#define MO_ELITE_BEST_MAX  100
-#define MO_CHAMPIONS_USUAL 12 /* in lists of champions, unless the request gives another number */
-#define MO_ELITE_MAX       (MO_ELITE_BEST_MAX + MO_CHAMPIONS_USUAL)
+#define MO_ELITE_BEST_MAX 100
+#define MO_CHAMPIONS_USUAL                                                                         \
+  12 /* number of designs in lists of champions, unless the request                                \
+        specifies it */
+#define MO_ELITE_MAX (MO_ELITE_BEST_MAX + MO_CHAMPIONS_USUAL)
 /* An object; null: never. */
 extern const struct mo_fields mo_re_evaluation_fields;
 extern const struct mo_field_own mo_re_evaluation_field;
@@ -40,7 +42,7 @@ struct mo_re_evaluated {
  * has none. */
 struct mo_interval mo_held_out_interval(const struct mo_re_evaluated *held_out);
 
-/* What the results of a generation say. */
+/* A summary of the results of a generation. */
 struct mo_held_out_summary {
   uint32_t designs, worlds; /* 0: the generation was not re-evaluated */
   uint64_t rollouts, diverged;

@@ -1,4 +1,5 @@
-/* records.h: records of jobs that the store returns, and what other records share with them.
+/* records.h: records of jobs that the store returns, and definitions that other records share with
+ * them.
  *
  * Times are microseconds since 1970-01-01 UTC; 0 means "not yet". Strings are UTF-8 and always
  * terminated. Lists of genotypes (struct mo_bits) belong to the store's workspace. */
@@ -19,7 +20,7 @@
 #include "store/design_notes.h"
 #include "store/hash.h"
 
-/* The workspace of the database: of its genotypes, of ids, and of the controllers that score. The
+/* The workspace of the genotypes and ids in the database, and of the controllers that score. The
  * service's lattice is made for it. */
 #define MO_STORE_WORKSPACE MO_DEFAULT_WORKSPACE
 
@@ -88,12 +89,12 @@ struct mo_warning {
 };
 #define MO_WARNINGS_MAX 5
 
-/* A job. It has everything about an evaluation except its results. For a training run or a
- * campaign, it has the members that lists show (for the rest, see store/trainings.h and
+/* A job. It describes an evaluation completely except for its results. For a training run or a
+ * campaign, it contains the members that lists show (for the rest, see store/trainings.h and
  * store/campaigns.h). It owns nothing, so it may be copied. */
 struct mo_job {
   int64_t id;      /* ≥ 1 */
-  int64_t version; /* grows with every change to the row: the ETag */
+  int64_t version; /* incremented with every change to the row: the ETag */
   enum mo_job_kind kind;
   enum mo_job_state state;
   enum mo_urgency priority;
@@ -109,7 +110,7 @@ struct mo_job {
   int error; /* MO_OK or a code; set when the job failed, or by the last unsuccessful attempt;
                 MO_ERR_DEVICE: paused for lack of a device */
   char error_text[256];
-  /* An evaluation has all of these. A training run has the controller that it starts from
+  /* An evaluation has all of the following. A training run has the controller that it starts from
    * (has_controller false: random weights), sensor, physics, n_designs, and optionally
    * environments. A campaign has the same, always with environments; its n_designs is the
    * population. */
@@ -123,7 +124,8 @@ struct mo_job {
   uint32_t n_environments, n_designs, n_skipped; /* n_skipped: designs of an evaluation */
   bool is_random; /* the designs of an evaluation are random bodies of a seed */
   uint64_t random_seed;
-  uint32_t random_first, n_waiting; /* n_waiting: how many of its last designs are not stored yet */
+  uint32_t random_first, n_waiting; /* n_waiting: number of its last designs that are not stored
+                                       yet */
   uint32_t best, measures; /* best designs that get complete scores, 0: all; measures, as bits */
   uint32_t n_displaced;    /* displaced starts that estimate the errors of scores; 0: no estimate */
   double tolerance;        /* of the scores' estimated errors; 0: none was requested */
@@ -136,7 +138,7 @@ struct mo_job {
   uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged, rollouts_cut;
   /* Training: steps. Campaign: generations, without generation 0; done: committed. */
   uint32_t steps_total, steps_done;
-  /* Training runs and campaigns have them only if they were read with them. */
+  /* For training runs and campaigns, set only if requested when reading. */
   struct mo_warning warnings[MO_WARNINGS_MAX];
   uint32_t n_warnings;
 };

@@ -41,8 +41,8 @@ enum mo_job_change { MO_CHANGE_CANCEL, MO_CHANGE_PAUSE, MO_CHANGE_RESUME, MO_CHA
 int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change change,
                         enum mo_job_state *before);
 
-/* Changes the weight of a job that is not final, with its event; the same weight is a no-op.
- * MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job is final. */
+/* Changes the weight of a job that is not final, with its event; setting the same weight is a
+ * no-op. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job is final. */
 int mo_store_set_weight(struct mo_store *store, int64_t id, double weight);
 
 /* ---- start ---- */
@@ -59,8 +59,8 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
 int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts,
                      const char *text);
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id);
-/* The class of the devices that the service had last, either its own devices or devices of workers;
- * "": none. */
+/* The class of the devices that the service used last, either its own devices or devices of
+ * workers; "": none. */
 struct mo_device_memory {
   char scores[MO_FINGERPRINT_BYTES], gradients[MO_FINGERPRINT_BYTES];
   uint64_t open_jobs; /* open jobs on devices */
@@ -68,7 +68,7 @@ struct mo_device_memory {
 int mo_store_device_memory(struct mo_store *store, struct mo_device_memory *memory);
 /* MO_ERR_LIMIT: too long. */
 int mo_store_keep_device_class(struct mo_store *store, const char *scores, const char *gradients);
-/* Finds or inserts a row of `origins`, which says who computed a score. */
+/* Finds or inserts a row of `origins`, which records who computed a score. */
 int mo_store_origin(struct mo_store *store, const char *text, int64_t *id);
 /* Counts the unfinished jobs of every kind, and the rollouts of evaluations among them. */
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts);
@@ -86,7 +86,7 @@ struct mo_classes {
   int64_t cpu[2], device; /* cpu: by precision */
 };
 
-/* One evaluation with everything that its run needs. */
+/* One evaluation, with everything needed to run it. */
 struct mo_work {
   struct mo_job job;
   int64_t controller, sets[MO_SUITE_TASKS]; /* rows; sets: (n_sets); 0: listed environments */

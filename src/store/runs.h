@@ -33,8 +33,8 @@ int mo_key_insert(struct mo_connection *writer, const struct mo_request_key *key
 
 int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
                      enum mo_job_kind *kind); /* MO_ERR_NOT_FOUND */
-/* Deletes the listed designs of an evaluation that has ended before they were stored: at most 24
- * MB, 40 ms for a million designs. */
+/* Deletes the listed designs of an evaluation that ended before they were stored: at most 24 MB,
+ * which takes 40 ms for a million designs. */
 int mo_waiting_delete(struct mo_connection *writer, int64_t id);
 /* Applies the step of an update to the job's state, and sets update->state. MO_ERR_CONFLICT: the
  * step cannot start in the job's state, or the job was not started under this opening. */

@@ -8,7 +8,7 @@
 
 struct mo_store;
 
-/* The conditions of a loss, apart from the genotype: a row of `conditions`. */
+/* The conditions of a loss, except for the genotype: a row of `conditions`. */
 struct mo_condition {
   int64_t id, controller, physics, fingerprint; /* id: set by the store */
   uint32_t n;

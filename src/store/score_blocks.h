@@ -10,7 +10,7 @@
 #define MO_SCORED_CONDITIONS   64
 #define MO_SCORED_ENVIRONMENTS 1024
 
-/* The conditions of scores, apart from body, environments and class. */
+/* The conditions of scores, except for body, environments and class. */
 struct mo_scored_condition {
   struct mo_sha256 controller;
   struct mo_physics physics;
@@ -62,7 +62,8 @@ int mo_score_walk_next(struct mo_score_walk *walk, struct mo_score_block *block)
 /* ---- import into a store ---- */
 
 #define MO_DIFFERENCES_MAX 16
-/* Counts of rollouts. A row that contradicts a stored loss in any rollout is left out entirely. */
+/* Counts of rollouts. If a row contradicts a stored loss in any rollout, the whole row is left
+ * out. */
 struct mo_scores_imported {
   uint64_t n_new, n_known, n_different;
   uint32_t n; /* the first rows that differ: the stored and the imported values */

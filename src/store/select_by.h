@@ -16,7 +16,7 @@ struct mo_select_by {
   int measure;   /* enum mo_measure */
   int direction; /* enum mo_direction */
 };
-/* Returns the score of a design whose measure has this mean; NaN: it has none. */
+/* Returns the score of a design from the mean of the measure; NaN: there is no mean. */
 double mo_select_by_score(const struct mo_select_by *by, double mean);
 /* Names this score as the campaign's own score: "-displacement_m" for `max`, with its unit. Sets no
  * name if the campaign selects by the loss. */

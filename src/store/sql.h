@@ -7,8 +7,8 @@
 
 #include "store/encode.h"
 
-/* More than the statements of this room, which a connection keeps once it has used them all:
- * tests/lint/rooms.py counts. */
+/* More than the number of statements in this room, because a connection keeps every statement that
+ * it has used; tests/lint/rooms.py counts them. */
 #define MO_STATEMENTS_MAX 512
 
 struct mo_store;
@@ -106,7 +106,7 @@ int mo_column_genotype(sqlite3_stmt *statement, int column, struct mo_genotype *
  * that a damaged body is never mistaken for the scored one. */
 int mo_column_design(sqlite3_stmt *statement, int genotype_column, int form_column,
                      struct mo_genotype *genotype, struct mo_genotype *form);
-/* Reads the same for a list. form: nullable. */
+/* Reads the same for a list of designs. form: nullable. */
 int mo_column_listed(sqlite3_stmt *statement, int genotype_column, int form_column,
                      struct mo_bits *genotype, struct mo_bits *form);
 /* Reads an environment and checks its hash. */

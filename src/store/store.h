@@ -40,10 +40,10 @@ struct mo_store_config {
   uint32_t n_readers;                     /* read connections; 0: 4 */
   uint64_t events_kept;                   /* older ones are pruned; 0: 100000 */
   int64_t idempotency_keep_s;             /* 0: 24 h */
-  uint32_t checkpoint_frames;    /* pages of the log before it is copied into the database; 0:
+  uint32_t checkpoint_frames;    /* number of pages at which the log is copied into the database; 0:
                                     2000 */
-  uint64_t max_recordings_bytes; /* above it, recordings of evaluations that have ended are removed,
-                                    oldest first; 0: no limit */
+  uint64_t max_recordings_bytes; /* beyond this, recordings of evaluations that have ended are
+                                    removed, oldest first; 0: no limit */
   uint64_t max_excluded_bytes;   /* for all files of excluded bodies (excluded.h); 0: keeps none */
   int64_t keep_jobs_s[MO_JOB_KINDS]; /* after their end; 0: no limit */
   int64_t keep_recordings_s;         /* after the end of their evaluation; 0: no limit */
@@ -71,8 +71,8 @@ void mo_store_close(struct mo_store *store);
 /* Limits the caches of all stores to about `bytes` together. Call it before opening the first. */
 void mo_store_limit_memory(uint64_t bytes);
 
-/* Files below controllers/, trainings/ and campaigns/ that no row refers to. Opening does not
- * remove them. */
+/* Files below controllers/, trainings/ and campaigns/ that no row refers to. Opening the store does
+ * not remove them. */
 struct mo_orphans {
   uint64_t n, bytes;
   char first[320]; /* names of up to three */
@@ -86,7 +86,7 @@ int mo_store_clean(struct mo_store *store,
 int mo_store_accept_clock(struct mo_store *store);
 /* Returns a random number chosen when the database was created: unique to this store. */
 uint64_t mo_store_id(const struct mo_store *store);
-/* Returns the random number of this history: a restored backup, copy or crash starts a new one. */
+/* Returns the random number of this history: a restore, a copy or a crash starts a new one. */
 uint64_t mo_store_history(const struct mo_store *store);
 /* Returns the number of times the store was opened: unique to this opening. */
 uint64_t mo_store_epoch(const struct mo_store *store);
@@ -122,12 +122,12 @@ struct mo_job_query {
   const char *experiment;   /* only jobs of this experiment; nullable */
   int archived;             /* 0: only unarchived jobs; 1: only archived jobs; −1: both */
   const char *submitted_by; /* only jobs submitted with the token of this name; nullable */
-  /* (n_waiting ≤ MO_WAITING_MAX) running jobs that are listed, and found, as paused; nullable. */
+  /* (n_waiting ≤ MO_WAITING_MAX) running jobs that are listed and matched as paused; nullable. */
   const int64_t *waiting;
   size_t n_waiting;
   int64_t group; /* only campaigns of this group of replicates; 0: any job */
 };
-#define MO_WAITING_MAX 82 /* all jobs but evaluations that can run at once */
+#define MO_WAITING_MAX 82 /* largest number of jobs other than evaluations that can run at once */
 /* Reads a page, newest first; returns its size (limit ≤ MO_PAGE_MAX). Next: before = last id. */
 int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query,
                       void *jobs /* struct mo_job */, size_t limit);
@@ -142,8 +142,8 @@ int64_t mo_store_queued_runs(struct mo_store *store, enum mo_job_kind kind, int6
 /* queued → running. MO_ERR_CONFLICT. */
 int mo_store_run_start(struct mo_store *store, int64_t id);
 /* Ends an attempt. error MO_OK (a stop): running → queued, and the attempts do not change.
- * MO_ERR_DEVICE: running → paused. Otherwise the attempts grow by one: → queued, or at max_attempts
- * → failed. A job that is not running stays unchanged. *after (nullable): the resulting state. */
+ * MO_ERR_DEVICE: running → paused. Otherwise: → queued, attempts + 1, or at max_attempts → failed.
+ * A job that is not running stays unchanged. *after (nullable): the resulting state. */
 int mo_store_run_park(struct mo_store *store, int64_t id, int error, const char *error_text,
                       uint32_t max_attempts, enum mo_job_state *after);
 

@@ -27,7 +27,8 @@ struct mo_study_batch {
   uint32_t n_children, n_measures, n_survivors;
   struct mo_study_child *children; /* (n_children) */
   double *measures;                /* (n_children, n_measures) NaN: not given */
-  double *scores;      /* (n_children) finite: the client's own; NULL: the service's are used */
+  double *scores;      /* (n_children) the client's own scores, finite; NULL: the service's are
+                          used */
   bool selects;        /* true: `survivors` of the population survive; false: the settings select */
   uint32_t *survivors; /* (n_survivors) numbers */
 };

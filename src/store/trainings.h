@@ -32,8 +32,8 @@ struct mo_training_record {
   struct mo_atlas_sample sample; /* drawn from an atlas */
   /* finetune: each design learns alone, one after the other, from the same controller and with the
    * same seed. Steps are then numbered consecutively: step s of design i is
-   * i · settings.n_steps + s. Of the controllers, all or those of the keep_best best designs are
-   * kept. */
+   * i · settings.n_steps + s. Either all controllers are kept, or those of the keep_best best
+   * designs. */
   bool each;
   int keep; /* enum mo_keep */
   uint32_t keep_best;
@@ -52,7 +52,7 @@ struct mo_training_step_row {
                      repeated */
 };
 struct mo_training_validation_row {
-  uint32_t step; /* steps that the weights had learned */
+  uint32_t step; /* number of steps that the weights had learned */
   uint32_t rollouts, diverged;
   double mean_score, standard_error; /* over the mean losses of the designs that never diverged */
 };
@@ -84,7 +84,7 @@ struct mo_training_request {
   struct mo_design_note *notes;    /* (n_notes) as in mo_evaluation_request */
   uint32_t n_notes;
   const struct mo_environment *environments; /* (record.n_environments) without a set; checked */
-  uint32_t population_best; /* how many of the best designs of record.population; 0: all */
+  uint32_t population_best; /* number of best designs of record.population to use; 0: all */
 };
 /* Errors as in mo_store_submit. */
 int mo_store_submit_training(struct mo_store *store, const struct mo_training_request *request,

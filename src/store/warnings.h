@@ -1,4 +1,4 @@
-/* warnings.h: cautions for readers of the result of a job that otherwise did its work. They are
+/* warnings.h: cautions for readers of the result of a job that otherwise succeeded. They are
  * derived from stored data whenever a job is read. Only for this room. */
 #ifndef MORPHO_STORE_WARNINGS_H
 #define MORPHO_STORE_WARNINGS_H

@@ -1,8 +1,8 @@
 /* holding.h: the leases that a worker holds, their blocks in its back end, and their results.
  *
  * Only one thread may call these functions. Blocks are submitted in the order of the leases, a few
- * more than the number of workers, by the threads that finish other blocks. So the first lease
- * finishes first, while its successor keeps all workers busy. A separate thread computes each
+ * more than the number of workers, by the threads that finish other blocks. Therefore, the first
+ * lease finishes first, while the next one keeps all workers busy. A separate thread computes each
  * gradient shard and waits for the workers. */
 #ifndef MORPHO_WORKER_HOLDING_H
 #define MORPHO_WORKER_HOLDING_H
@@ -28,13 +28,13 @@ int mo_holding_set_workspace(struct mo_holding *holding, struct mo_workspace wor
  * MO_ERR_NO_MEMORY: the lease still belongs to the caller. */
 #define MO_HELD_LEASES_MAX 8
 int mo_holding_add(struct mo_holding *holding, struct mo_wire_lease *lease);
-/* Starts the leases that have their weights in memory. Returns whether a lease lacks its weights,
- * and their *hash. */
+/* Starts the leases that have their weights in memory. Returns whether a lease lacks its weights;
+ * *hash: the hash of these weights. */
 bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash);
 /* Adds weights. Errors as in mo_kept_weights_add. */
 int mo_holding_add_weights(struct mo_holding *holding, const struct mo_sha256 *hash,
                            const uint8_t *bytes, size_t size, struct mo_message *message);
-/* Returns the leases that wait for these weights. */
+/* Returns the leases that wait for these weights to the daemon. */
 void mo_holding_miss_weights(struct mo_holding *holding, const struct mo_sha256 *hash);
 
 /* Ends a lease without a result; id NULL: all. */

@@ -21,7 +21,7 @@ struct mo_kept_weights {
   } items[MO_WEIGHTS_KEPT]; /* the first: passive bodies */
 };
 int mo_kept_weights_init(struct mo_kept_weights *weights, struct mo_compute *compute);
-void mo_kept_weights_clear(struct mo_kept_weights *weights); /* call it when no block uses a
+void mo_kept_weights_clear(struct mo_kept_weights *weights); /* call it once no block uses a
                                                                 controller any longer */
 
 /* Adds the bytes of a controller's file. MO_ERR_CORRUPT: they do not have this hash; MO_ERR_FORMAT,

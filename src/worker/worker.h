@@ -2,9 +2,9 @@
  *
  * mo_worker_run joins the daemon and runs the session; when the connection is lost, it rejoins. A
  * session holds two leases, so that computing never waits for the network: the call that sends
- * results returns the next lease. A request for orders is open all the time; the daemon drops the
- * session as soon as its connection is closed. Results for a lost session are discarded, because
- * the daemon has given its work to other workers. */
+ * results returns the next lease. A request for orders is always open; the daemon drops the session
+ * as soon as its connection is closed. Results for a lost session are discarded, because the daemon
+ * has given the work to other workers. */
 #ifndef MORPHO_WORKER_WORKER_H
 #define MORPHO_WORKER_WORKER_H
 
@@ -49,7 +49,7 @@ enum mo_worker_end mo_worker_run(struct mo_worker *worker, struct mo_message *me
 #define MO_WORKER_STOP_MS 800
 void mo_worker_stop(struct mo_worker *worker);
 
-/* Writes one line about the worker's state. Any thread may call it. */
+/* Writes one line that describes the worker's state. Any thread may call it. */
 void mo_worker_describe(struct mo_worker *worker, char *text, size_t capacity);
 
 #endif

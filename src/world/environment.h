@@ -9,7 +9,7 @@
 #include "base/fields.h"
 #include "base/sha256.h"
 
-/* Where the light stands and the terrain: numbers and arrays of numbers. Requests, replies and
+/* The position of the light, and the terrain: numbers and arrays of numbers. Requests, replies and
  * scenes use these rows. */
 extern const struct mo_fields mo_place_fields;
 enum { MO_PLACE_LIGHT, MO_PLACE_HEIGHTS }; /* its first rows */
@@ -22,20 +22,20 @@ extern const struct mo_fields mo_drop_fields;
 
 /* The whole environment, except for a custom grid. task_json.h: in JSON. */
 extern const struct mo_fields mo_environment_fields;
-/* The value that a newly added field has where it is not given. */
+/* The values of newly added fields where they are not given. */
 extern const struct mo_environment mo_environment_defaults;
 
 /* The packed form, for hashed encodings, checkpoints and the messages of workers. It is that of the
- * fields (base/fields.h): 66 float64; from version 2 on the task, 3: the shape of the terrain, 4:
- * the damage, 5: the terms of a sum, 7: the factors, 8: the drop. From version 6 on, 16 bytes
- * follow, columns and rows of the grid (uint32_t) and its spacing (double), which are 0 without a
- * custom grid, and then its heights (double). */
+ * fields (base/fields.h): 66 float64. Version 2 added the task, 3 the shape of the terrain, 4 the
+ * damage, 5 the terms of a sum, 7 the factors, and 8 the drop. From version 6 on, 16 bytes follow,
+ * columns and rows of the grid (uint32_t) and its spacing (double), which are 0 without a custom
+ * grid, and then its heights (double). */
 #define MO_ENVIRONMENT_GRID_VERSION 6
 #define MO_ENVIRONMENT_VERSION      8 /* the newest: rows that are added later raise it */
 /* Upper bound on the bytes before a grid's heights. */
 #define MO_ENVIRONMENT_HEAD_BYTES (sizeof(struct mo_environment) + 16)
 
-/* Returns the first version that has everything that an environment has. */
+/* Returns the first version that includes every field that an environment uses. */
 unsigned mo_environment_version(const struct mo_environment *environment);
 size_t mo_environment_packed_bytes(const struct mo_environment *environment, unsigned version);
 void mo_environment_pack(const struct mo_environment *environment, unsigned version,

@@ -17,7 +17,7 @@ extern const struct mo_field_own mo_vary_own;
 /* Also rejects factors that are given but all 1: such an environment would have a different hash
  * from the same one without factors. MO_ERR_INVALID, MO_ERR_RANGE. */
 int mo_factors_check(const struct mo_factors *factors);
-/* Returns the factors, or none if all are 1. */
+/* Returns the factors, or factors that are not given if all are 1. */
 struct mo_factors mo_factors_simplest(const struct mo_factors *factors);
 /* Returns whether anything varies. */
 bool mo_factors_vary(const struct mo_factor_ranges *ranges);

@@ -1,4 +1,4 @@
-/* measures.h: the step that values of measures are multiples of. */
+/* measures.h: rounding of measures: their values are whole multiples of a step. */
 #ifndef MORPHO_WORLD_MEASURES_H
 #define MORPHO_WORLD_MEASURES_H
 

@@ -1,4 +1,4 @@
-/* task.h: what rooms need to know about a task beyond <morpho/task.h>. */
+/* task.h: properties of tasks that other rooms need in addition to <morpho/task.h>. */
 #ifndef MORPHO_WORLD_TASK_H
 #define MORPHO_WORLD_TASK_H
 

@@ -5,7 +5,7 @@
 
 #include <morpho/world.h>
 
-/* Of the families, in their order. */
+/* Names of the families, in their order. */
 #define MO_TERRAIN_FAMILY_WORDS                                                                    \
   "rough", "flat", "slope", "stairs-up", "stairs-down", "hurdles", "gaps", "steps"
 
@@ -16,14 +16,15 @@ void mo_terrain_tilt(double degrees, double toward_rad, double heights_m[MO_TERR
 
 struct mo_terrain_axis {
   double from_m;      /* coordinates count from here; 0, except for a custom grid */
-  double size_m;      /* they are clamped to 0 … size_m */
+  double size_m;      /* coordinates are clamped to 0 … size_m */
   double cells_per_m; /* 0: the height does not change along this axis */
   int cells;
 };
 
 struct mo_terrain_map {
   struct mo_terrain_axis axis[2];
-  int row; /* from a height to that of the next row: the number of columns, or 0 for a profile */
+  int row; /* offset from a height to the one in the next row: the number of columns, or 0 for a
+              profile */
   const double *heights_m;
 };
 
