@@ -7,7 +7,7 @@
 
 #include "base/text.h"
 
-/* Drops an incomplete UTF-8 sequence from the end of a truncated text. */
+/* Removes an incomplete UTF-8 sequence from the end of a truncated text. */
 static void trim_utf8(char *text)
 {
   size_t n = strlen(text), at = 0;

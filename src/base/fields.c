@@ -147,7 +147,7 @@ static void read_array(struct mo_json *json, const struct mo_field *field, uint3
 /* Returns whether the next array begins with an array. */
 static bool is_nested(const struct mo_json *json)
 {
-  struct mo_faults faults = {0}; /* the reading reports them */
+  struct mo_faults faults = {0}; /* discarded: reading the value reports them */
   struct mo_json ahead = *json;
   ahead.faults = &faults;
   return mo_json_peek(&ahead) == MO_JSON_ARRAY && mo_json_array(&ahead) && mo_json_item(&ahead) &&
@@ -204,7 +204,7 @@ static void read_value(struct mo_json *json, const struct mo_field *field, void 
     mo_fields_read(json, field->group, value);
     break;
   case MO_FIELD_OWN: field->own->read(json, value); break;
-  case MO_FIELD_INLINE: break; /* has no value of its own */
+  case MO_FIELD_INLINE: break; /* it has no value of its own */
   }
 }
 

@@ -140,7 +140,7 @@ void mo_json_fault_at(struct mo_json *json, unsigned depth, const char *below, c
   json->stop = mo_faults_full(json->faults);
 }
 
-/* Reports where the text stops being JSON, and stops the reading. */
+/* Reports where the text stops being JSON, and ends reading. */
 static bool syntax(struct mo_json *json, const char *words)
 {
   if (json->stop)
@@ -554,7 +554,7 @@ void mo_json_skip(struct mo_json *json)
       struct mo_json_slice key;
       bool object = json->levels[json->depth - 1].object;
       if (!(object ? mo_json_member(json, &key) : mo_json_item(json)))
-        continue; /* level closed, or stopped */
+        continue; /* the level was closed, or reading has ended */
     }
     bool plain;
     struct mo_json_slice raw;

@@ -1,8 +1,8 @@
 /* processors.c: see processors.h.
  *
  * A cgroup without files counts as one without a limit. Inside a container, /proc often shows a
- * path of the host, while the files of the container's own cgroup are at the top of the mount. The
- * walk up the path ends there and finds them. */
+ * path on the host, while the files of the container's own cgroup are at the top of the mount. The
+ * walk up the path ends at the top, and so finds these files. */
 #include "base/processors.h"
 
 #include <limits.h>

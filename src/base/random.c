@@ -118,7 +118,7 @@ void mo_random_fill(struct mo_random *random, uint32_t *numbers, size_t n)
     philox_lanes(random->counter, random->key, numbers + i);
     random->counter[0] += LANES;
   }
-  if (n - i > 4) { /* the rest, at the cost of one group */
+  if (n - i > 4) { /* the remaining numbers, at the cost of one group */
     uint32_t group[LANES * 4];
     philox_lanes(random->counter, random->key, group);
     uint32_t whole = (uint32_t)((n - i) / 4);

@@ -224,7 +224,8 @@ void mo_text_json_stored(struct mo_text *text, const char *json)
   size_t whole = 0; /* start of the current run of valid UTF-8 */
   for (size_t i = 0; i < n;) {
     const bool is_break =
-        json[i] == '\n' || json[i] == '\r'; /* between values, because an event is one line */
+        json[i] == '\n' || json[i] == '\r'; /* line breaks between values are dropped, because an
+                                               event is one line */
     unsigned length = mo_utf8_sequence((const unsigned char *)json + i, n - i);
     if (length > 0 && !is_break) {
       i += length;
@@ -284,8 +285,8 @@ static size_t write_plain(double value, char text[MO_NUMBER_BYTES])
     const wide twice = 2 * (exact - whole * step);
     rounded = (whole + (twice > step || (twice == step && whole % 2 == 1))) * unit;
     const wide found = (wide)rounded << shift;
-    /* It reads back correctly if no other float64 is nearer; just below a power of two they are
-     * closer together. */
+    /* It reads back correctly if no other float64 is nearer; just below a power of two, float64
+     * values are closer together. */
     const wide off = found > exact            ? 2 * (found - exact)
                      : m == UINT64_C(1) << 52 ? 4 * (exact - found)
                                               : 2 * (exact - found);

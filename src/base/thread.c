@@ -62,7 +62,7 @@ void mo_parallel(uint32_t n_threads, size_t n,
     return;
   }
   for (size_t i = 0; i < n_ranges; i++) {
-    const size_t rest = n % n_ranges; /* the first ranges take one more */
+    const size_t rest = n % n_ranges; /* the first ranges have one more item */
     ranges[i] = (struct range){.part = part,
                                .context = context,
                                .tag = mo_thread_tag,

@@ -1,4 +1,4 @@
-/* figures.c: from losses to figures: scores of designs, and how a list of them changes. */
+/* figures.c: computes figures from losses: scores of designs, and how a list of designs changes. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -24,7 +24,8 @@ uint32_t mo_certificate_top(const struct mo_certificate_settings *settings, uint
 
 /* ---- designs ---- */
 
-/* Returns how many lists of the base's worlds a trial has: copies on the axis `chance`. */
+/* Returns how many copies of the base's list of worlds a trial has; more than one only on the axis
+ * `chance`. */
 static uint32_t lists_of(const struct work *work, const struct mo_trial *trial)
 {
   return trial->axis == MO_AXIS_CHANCE ? trial->n_environments / work->n_base : 1;
@@ -54,7 +55,7 @@ static double list_score(const struct work *work, uint32_t t, uint32_t design, u
   return mo_pairwise_sum(work->values, n) / n;
 }
 
-/* Scores a design by the scores in all copies of the base's worlds. */
+/* Scores a design by its scores in all copies of the base's worlds. */
 static void score_copies(const struct work *work, uint32_t t, uint32_t design, double base_score,
                          struct mo_trial_score *score)
 {
@@ -77,7 +78,8 @@ static void score_worlds(const struct work *work, uint32_t t, uint32_t design,
   const struct mo_trial *trial = &work->trials[t];
   const float *losses = losses_of(work, t, design), *base = losses_of(work, 0, design);
   const uint32_t n = trial->n_environments;
-  /* The worlds of the base that a trial has several times; one world has no others to compare. */
+  /* The independent worlds: those of the base, if a trial repeats them. If the base has a single
+   * world, every world of the trial counts as independent. */
   const uint32_t units = trial->is_paired && work->n_base > 1 ? work->n_base : n;
   for (uint32_t k = 0; k < n; k++) {
     work->values[k] = (double)losses[k];
@@ -146,14 +148,15 @@ static uint32_t sort_designs(const struct mo_trial_score *scores, uint32_t n, ui
   return sound;
 }
 
-/* Adds what one list of scores, all finite for the designs in `list`, says about the top ones. */
+/* Adds the figures of the top designs by one list of scores, which are finite for all designs in
+ * `list`. */
 static void add_top(const struct work *work, const double *of_design, struct mo_trial_list *list)
 {
   uint32_t n = 0;
   for (uint32_t i = 0; i < work->n_top; i++)
     work->scratch[i] = of_design[work->order[i]];
   const double top = mo_pairwise_sum(work->scratch, work->n_top) / work->n_top;
-  for (uint32_t i = 0; i < work->n_designs; i++) { /* the lowest, ascending */
+  for (uint32_t i = 0; i < work->n_designs; i++) { /* keeps the lowest scores, in ascending order */
     uint32_t at = n;
     if (isnan(of_design[i]) || (n == work->n_top && of_design[i] >= work->scratch[n - 1]))
       continue;

@@ -2,8 +2,9 @@
  *
  * They must be of the base's kind, or the axis would compare two tasks. A set of the suite has a
  * held-out set. The only other worlds that can be drawn are training worlds, so a list has fresh
- * worlds only if each of its own could be one of them. A list of level ground, of a profile or of
- * lights at other distances has none: it is unknown which others its author would have chosen. */
+ * worlds only if each of its own worlds could be a training world. A list with level ground,
+ * profiles or lights at other distances has none, because it is unknown which other worlds its
+ * author would have chosen. */
 #include "certificate/held_out.h"
 
 #include <math.h>
@@ -113,7 +114,7 @@ int mo_fresh_worlds(const struct mo_certificate_base *base, uint64_t seed, uint3
 {
   const struct mo_environment *tasks = base->environments;
   if (mo_fresh_refuses(base) != NULL || mo_fresh_count(base, n) < n)
-    return MO_ERR_RANGE; /* the settings of an imported campaign */
+    return MO_ERR_RANGE; /* possible with the settings of an imported campaign */
   if (base->set == NULL) {
     mo_held_out_tasks(seed, n, tasks, base->n_environments, environments);
     for (uint32_t k = 0; k < n; k++) {

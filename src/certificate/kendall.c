@@ -1,8 +1,9 @@
 /* kendall.c: Kendall's tau-b of two lists of scores, and its interval.
  *
  * Tau-b is (concordant − discordant pairs) / sqrt((pairs not tied here) · (pairs not tied there)).
- * Each pair counts in the numbers of both of its designs, so tau without a design is known without
- * another pass: all pairs minus its own. Lists have at most 256 designs, so all pairs are compared.
+ * Each pair is counted for both of its designs, so tau without a design needs no other pass: it
+ * follows from all pairs minus those of the design. Lists have at most 256 designs, so all pairs
+ * are compared.
  *
  * The interval, which include/morpho/certificate.h defines: a proportion of m independent pairs
  * that agree has Wilson's interval, which in terms of tau is
@@ -39,7 +40,7 @@ static double untied(const struct pairs *pairs)
   return sqrt((pairs->all - pairs->tied[0]) * (pairs->all - pairs->tied[1]));
 }
 
-/* Returns NaN if all of one list are tied. */
+/* Returns NaN if all scores of one list are tied. */
 static double tau_b(const struct pairs *pairs)
 {
   return untied(pairs) > 0 ? pairs->balance / untied(pairs) : NAN;
@@ -95,7 +96,8 @@ struct mo_interval mo_kendall_interval(const struct mo_kendall *kendall)
   double near = tau, variance = jackknife(kendall);
   if (kendall->n_designs < MO_TAU_DESIGNS_MIN || isnan(tau) || isnan(variance))
     return MO_UNKNOWN_INTERVAL;
-  if (fabs(tau) >= 1) { /* with one exception, which only its two designs have */
+  if (fabs(tau) >= 1) { /* the variance if there were one exception, which affects only its two
+                           designs */
     const double fewer = untied * (n - 2) / n;
     near = tau * fmax(0, 1 - 2 / untied);
     variance = (n - 1) / n * 8 * (n - 2) / n / (fewer * fewer);

@@ -24,7 +24,8 @@ static bool is_of_factors(enum mo_axis axis)
   return axis >= MO_AXIS_STIFFNESS && axis <= MO_AXIS_FRICTION;
 }
 
-/* Writes the levels of an axis; an axis without any has one, NaN. Returns their number. */
+/* Writes the levels of an axis; an axis without levels has the single level NaN. Returns their
+ * number. */
 static uint32_t levels_of(const struct mo_certificate_settings *settings, enum mo_axis axis,
                           double levels[LEVELS_MAX])
 {
@@ -177,7 +178,8 @@ static bool is_stable(const struct mo_certificate_base *base, const struct mo_ph
 {
   for (uint32_t k = 0; k < base->n_environments; k++)
     for (int end = 0; end < 2; end++) {
-      struct mo_physics worst = *physics; /* stiff and light; with the lowest or highest drag */
+      struct mo_physics worst = *physics; /* the stiffest and lightest, with the lowest or highest
+                                             drag */
       worst.constants = mo_scene_constants(&base->environments[k], physics);
       worst.constants.stiffness_n_per_m *= ranges->stiffness[1];
       worst.constants.mass_kg *= ranges->mass[0];
@@ -310,8 +312,8 @@ int mo_certificate_trials(const struct mo_certificate_settings *settings,
   return MO_OK;
 }
 
-/* Multiplies the factors of the base's worlds, in turn. factors: (n / repeat), each for `repeat`
- * consecutive worlds. */
+/* Multiplies the factors of n worlds. factors: (n / repeat), each for `repeat` consecutive
+ * worlds. */
 static void multiply(const struct mo_factors *factors, uint32_t repeat, uint32_t n,
                      struct mo_environment *environments)
 {

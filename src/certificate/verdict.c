@@ -1,4 +1,4 @@
-/* verdict.c: figures in words. The rules are those of include/morpho/certificate.h. */
+/* verdict.c: describes figures in words. The rules are those of include/morpho/certificate.h. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -58,7 +58,7 @@ static void add_where(struct mo_text *text, const struct mo_trial *trial)
   }
 }
 
-/* Returns whether an axis changes a single constant, or the start. */
+/* Returns whether an axis changes a single constant, or the start position. */
 static bool is_of_one(enum mo_axis axis)
 {
   return axis >= MO_AXIS_STIFFNESS && axis <= MO_AXIS_DROP;
@@ -94,7 +94,8 @@ static const struct mo_trial_score *score_at(const struct about *about, uint32_t
   return &about->scores[(size_t)t * about->n_designs + about->design];
 }
 
-/* Returns by how much a level is worse: infinity for a divergence, 0 if it is not. */
+/* Returns by how much the score is worse at a level: infinity for a divergence, 0 if it is not
+ * worse. */
 static double worse_by(const struct about *about, uint32_t t)
 {
   const struct mo_trial_score *score = score_at(about, t);
@@ -313,7 +314,8 @@ void mo_certificate_verdict(const struct mo_trial *trials, uint32_t n_trials,
 
 const char *const mo_verdict_words[] = {"no_score", "in_doubt", "depends", "holds", NULL};
 
-/* Returns whether an axis changes what a design may depend on: not the numerics, nor luck. */
+/* Returns whether an axis changes conditions that a design may depend on, rather than the numerics
+ * or chance. */
 static bool is_of_conditions(enum mo_axis axis)
 {
   return axis == MO_AXIS_HELD_OUT || axis == MO_AXIS_WORLDS || is_of_one(axis);
@@ -342,8 +344,8 @@ struct mo_verdict mo_certificate_brief(const struct mo_trial *trials, uint32_t n
 enum holding { HOLDS, PARTLY, NOT, OPEN, HOLDINGS };
 static const char *const holding_words[] = {"holds", "holds at least in part", "does not hold"};
 
-/* Few designs, or an interval that contains the least tau of an order that holds in part, leave it
- * open. */
+/* The answer is OPEN for few designs, or if the interval contains the least tau of an order that
+ * holds in part. */
 static enum holding holding_of(const struct mo_trial_list *list, uint32_t n_designs)
 {
   const struct mo_interval tau = list->of_tau;

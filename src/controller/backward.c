@@ -44,7 +44,7 @@ static void norm_relu_adjoint(const float *gain, const double *normal, double sc
                               const double *hidden, const double *d_hidden, double *d_shifted,
                               double *d_dense)
 {
-  double mean = 0, mean_along = 0; /* of d_normal, and of d_normal · normal */
+  double mean = 0, mean_along = 0; /* means of d_normal, and of d_normal · normal */
   for (int i = 0; i < MO_HIDDEN; i++) {
     d_shifted[i] = hidden[i] > 0 ? d_hidden[i] : 0;
     const double d_normal = d_shifted[i] * (double)gain[i];

@@ -1,5 +1,5 @@
-/* forward.c: the network in float64, as simple as the speed of the tests permits: each neuron's sum
- * is in input order; four neurons are computed together so that their chains of additions
+/* forward.c: the network in float64, as simple as the speed of the tests permits. Each neuron's sum
+ * is added in input order; four neurons are computed together so that their chains of additions
  * overlap. */
 #include "controller/tape.h"
 
@@ -7,9 +7,9 @@
 
 #define SIDE_BY_SIDE 4
 
-/* sums[k] += row k · inputs, except for the last column, which the caller adds in checked code, so
- * that sanitizers still catch arrays that are too short. Sanitizing this loop would take a quarter
- * of the time of the rollout tests. */
+/* sums[k] += row k · inputs, except for the last column, which the caller adds in code that
+ * sanitizers check, so that they still catch arrays that are too short. Sanitizing this loop would
+ * take a quarter of the time of the rollout tests. */
 __attribute__((no_sanitize("address", "undefined"))) static void
 sum_along(const float *const rows[SIDE_BY_SIDE], uint32_t width, const double *inputs,
           double sums[SIDE_BY_SIDE])

@@ -6,10 +6,11 @@
  *   data     the tensors, row-major, at their offsets
  *
  * A file is a controller only if it has exactly the expected tensors, in float32, in the shapes of
- * one workspace, and they tile the data without gap or overlap. Their order in header and data is
- * free, since common writers sort by name. Memory proportional to the file's size is allocated only
- * after the header has been found to agree with the actual number of bytes. Messages quote text
- * from the file only after `printable` has shortened it and replaced everything but plain ASCII. */
+ * one workspace, and they tile the data without gap or overlap. Header and data may list them in
+ * any order, because common writers sort by name. Memory proportional to the file's size is
+ * allocated only after the header has been found to agree with the actual number of bytes. Messages
+ * quote text from the file only after `printable` has shortened it and replaced everything but
+ * plain ASCII. */
 #include "controller/internal.h"
 
 #include <inttypes.h>
@@ -126,7 +127,7 @@ static int read_period(const json_t *metadata, double *period_s, struct mo_messa
                  printable(text).text, MO_CONTROL_PERIOD_MAX_S);
 }
 
-/* What the metadata say about the controller. */
+/* The controller as described by the metadata. */
 struct described {
   struct mo_workspace workspace;
   enum mo_sensor sensor;
@@ -140,7 +141,7 @@ static int check_metadata(json_t *metadata, struct described *described, struct 
     return MO_OK;
   if (!json_is_object(metadata))
     return mo_fail(message, MO_ERR_FORMAT, "\"__metadata__\" is not an object of strings");
-  if (json_object_size(metadata) > MO_METADATA_MAX - 4) /* room for the entries that will be
+  if (json_object_size(metadata) > MO_METADATA_MAX - 4) /* leaves room for the entries that will be
                                                            added */
     return mo_fail(message, MO_ERR_LIMIT,
                    "\"__metadata__\" has %zu entries; at most %d are accepted",

@@ -3,10 +3,10 @@
  * A race needs lower bounds, so the mean, quantile and cvar must be monotone in every loss, not
  * only in exact arithmetic. They are: the order statistics are, because sorting does not round.
  * After that, losses are only multiplied by weights that are not negative, added, and divided by a
- * positive number. Number of losses and level fix the weights, and rounding to nearest never
- * exchanges two numbers: if x ≤ y, then round(w · x) ≤ round(w · y), and the same holds for sums
- * and quotients. Therefore a quantile is (1 − f) · x + f · y here: x + f · (y − x) subtracts a
- * loss, so its rounding errors could let the score fall while x rises. */
+ * positive number. The weights depend only on the number of losses and the level, and rounding to
+ * nearest never reverses the order of two numbers: if x ≤ y, then round(w · x) ≤ round(w · y), and
+ * the same holds for sums and quotients. This is why a quantile is computed as (1 − f) · x + f · y:
+ * x + f · (y − x) subtracts a loss, so with rounding errors the score could fall while x rises. */
 #include <math.h>
 
 #include "evolution/internal.h"

@@ -2,13 +2,14 @@
  *
  * A design is out when the sum of its known losses, divided by the number of all environments, is
  * above the k-th best of the complete scores so far. Then k designs are better, no matter what its
- * other losses are. A design that may still equal the k-th best is not out, so ties need no rule.
+ * other losses are. A design that may still equal the k-th best is not out, so no rule for ties is
+ * needed.
  *
- * The rounds: first a few designs, spread evenly over the list, in all environments, to find out
- * which environments are hard. Then the hardest one for all designs, then the next two, then the
- * rest. In between, the most promising designs get all their losses, which lowers the bound at
- * once. These sizes took the least time for the losses of 10,000 random bodies
- * (docs/performance.md). */
+ * The first round requests all losses of a few designs, spread evenly over the list, to find out
+ * which environments are hard. Later rounds request the losses of all designs in the hardest
+ * environment, then in the next two, and then in the rest. In between, the most promising designs
+ * get all their losses, which lowers the bound at once. These sizes took the least time for 10,000
+ * random bodies (docs/performance.md). */
 #include "evolution/internal.h"
 
 #include <math.h>

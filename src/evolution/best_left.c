@@ -1,12 +1,12 @@
 /* best_left.c: estimates how many losses a race for the k best will still request.
  *
- * The number depends on the k best of all designs, which cannot be known from the few designs that
- * get all their losses first. So the rest of the race is rehearsed: unknown losses are guessed, and
- * a copy of the race requests them by the same rules. A guess scales the losses of a donor: a
- * design with all its losses, and with a similar sum over the environments that both designs have.
- * A good sum is partly luck, so the scale is the ratio of the two sums raised to a power, the slope
- * of the donors' logarithms. A design that still waits for its first-wave losses borrows them from
- * a design that has them. */
+ * The number depends on the k best of all designs, and these cannot be known from the few designs
+ * that get all their losses first. Therefore, the rest of the race is simulated: unknown losses are
+ * guessed, and a copy of the race requests them by the same rules. A guess scales the losses of a
+ * donor: a design with all its losses, and with a similar sum over the environments that both
+ * designs have. A good sum is partly chance, so the scale is the ratio of the two sums raised to a
+ * power: the slope of the donors' logarithms. A design that still waits for its first-wave losses
+ * borrows them from a design that has them. */
 #include "evolution/internal.h"
 
 #include <math.h>
@@ -54,8 +54,8 @@ static void find_known(struct rehearsal *one)
   mo_rank_sort(best->ranks, one->n_donors);
 }
 
-/* Finds the slope of the logarithm of the other losses over that of the prefix: 1 if both are
- * proportional, 0 if the prefix says nothing. */
+/* Finds the slope of the logarithm of the other losses against that of the prefix: 1 if both are
+ * proportional, 0 if the prefix predicts nothing. */
 static double find_slope(const struct rehearsal *one)
 {
   const struct mo_best *best = one->best;

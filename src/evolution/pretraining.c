@@ -15,10 +15,12 @@
 
 #include <stdatomic.h>
 
-#define ASK_EVERY      64
-#define FRUITLESS_MAX  (UINT32_C(1) << 20) /* as in a body stream */
-#define ROUND          32768 /* draws of a thread, about 30 ms; fewer if a form has more words */
-#define WORTH_A_THREAD 256   /* draws, about 200 µs */
+#define ASK_EVERY     64
+#define FRUITLESS_MAX (UINT32_C(1) << 20) /* as in a body stream */
+#define ROUND                                                                                      \
+  32768                    /* draws per thread, which take about 30 ms; fewer if a form has more   \
+                              words */
+#define WORTH_A_THREAD 256 /* draws, which take about 200 µs */
 
 struct drawing {
   uint64_t seed;
@@ -26,7 +28,7 @@ struct drawing {
   const volatile int *cancel;
   struct mo_form_set *distinct;        /* detects duplicates */
   struct mo_form_set *set;             /* NULL: `distinct` is the set */
-  struct mo_workspace home, workspace; /* of the bodies, of the set */
+  struct mo_workspace home, workspace; /* of the bodies; of the set */
   size_t words;                        /* words of a form of the workspace */
   uint64_t first;
   size_t n, room;
@@ -91,8 +93,8 @@ static uint32_t threads_for(const struct drawing *drawing)
   return drawing->n_threads < enough ? drawing->n_threads : (uint32_t)enough;
 }
 
-/* Counts the round's new bodies, and the draws in a row up to its end without a new form.
- * MO_ERR_EXHAUSTED: too many in a row. */
+/* Counts the round's new bodies, and the draws since the last new form. MO_ERR_EXHAUSTED: too many
+ * in a row. */
 static int count(const struct drawing *drawing, uint64_t *found, uint32_t *fruitless)
 {
   for (size_t i = 0; i < drawing->n; i++) {

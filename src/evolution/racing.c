@@ -3,14 +3,14 @@
  *
  * The plan depends only on the parents: their worst score is the bound, and the spread of their
  * losses shows which environments distinguish designs best. Waves are used only if they would have
- * saved time in the previous generation. So a child is cut at the same wave regardless of other
- * jobs, and an interrupted generation repeats with the same bits. Lowering the bound with the
+ * saved time in the previous generation. A child is therefore cut at the same wave regardless of
+ * other jobs, and an interrupted generation repeats with the same bits. Lowering the bound with the
  * scores of children would save only one more rollout in a hundred. */
 #include "evolution/internal.h"
 
 #include <math.h>
 
-/* Overhead in units of rollouts (docs/performance.md): of a CPU per block; of a device per call
+/* Overhead in units of rollouts (docs/performance.md): for a CPU, per block; for a device, per call
  * that waits for another one. */
 #define BLOCK_LANES    16
 #define BLOCK_ROLLOUTS 2
@@ -112,7 +112,7 @@ int mo_race_saved(const struct mo_race *race, const double *losses, bool on_devi
     known[k] = NAN;
   for (uint32_t wave = 0; wave < race->n_waves; wave++) {
     const uint32_t first = n;
-    bool is_cut = false; /* cut before this wave, by stored losses */
+    bool is_cut = false; /* cut before this wave because of stored losses */
     for (; n < race->ends[wave]; n++) {
       known[race->order[n]] = losses[race->order[n]];
       is_cut = is_cut || isnan(losses[race->order[n]]);

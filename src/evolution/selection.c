@@ -1,9 +1,9 @@
 /* selection.c: selects the survivors.
  *
- * Candidates are ranked by score, then by number, so no two have the same rank. So the order of
- * candidates in memory affects only the distances of novelty, which are exact sums divided by one
- * number. A scheme receives the candidates that did not diverge, by rank, and chooses the survivors
- * among them. Diverged candidates fill the remaining places, oldest first. */
+ * Candidates are ranked by score, then by number, so no two have the same rank. The order of
+ * candidates in memory could affect only the distances of novelty, but these are exact sums divided
+ * by one number. A scheme receives the candidates that did not diverge, by rank, and chooses the
+ * survivors among them. Diverged candidates fill the remaining places, oldest first. */
 #include "evolution/internal.h"
 
 #include <math.h>
@@ -25,8 +25,8 @@ struct choice {
 
 /* ---- tournament ---- */
 
-/* Chooses by tournament: the best survives. Each further survivor is the best of `tournament_size`
- * draws, with replacement, from the remaining candidates. */
+/* Chooses by tournament: the best candidate survives, and each further survivor is the best of
+ * `tournament_size` draws, with replacement, from the remaining candidates. */
 static int choose_by_tournament(struct choice *choice)
 {
   uint32_t left = choice->n - 1; /* n > places ≥ 1 */

@@ -59,7 +59,7 @@ double mo_diversity(struct mo_workspace workspace, const uint64_t *genotypes, ui
   return (double)sum / ((double)pairs * mo_workspace_voxels(workspace));
 }
 
-/* Divided by one number, the sums keep their order. */
+/* The sums are divided by the same number, so they keep their order. */
 void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
                         double *distances)
 {

@@ -1,7 +1,7 @@
 /* variation.c: the initial population, and the children of a generation (paper, section 2.5).
  *
- * The results of a seed depend on which numbers are taken from which stream, so never change that.
- *   groups        (SELECTION, generation, MO_STREAM_GROUPS): a partial Fisher-Yates shuffle of
+ * The results of a seed depend on which numbers are taken from which stream, so this must never
+ * change. groups (SELECTION, generation, MO_STREAM_GROUPS): a partial Fisher-Yates shuffle of
  *                 0 … n − 1; its first round(share · n) places mutate, in this order, the
  *                 others recombine
  *   mutants       (MUTATION, generation, i) for the child at place i: mo_genotype_mutate until
@@ -115,7 +115,7 @@ static void record_birth(struct nursery *nursery, enum mo_operator op, uint32_t 
       (struct mo_birth){.op = op, .parents = {first, second}, .attempts = attempts};
 }
 
-/* Makes one mutant of `place`. Returns 1, or 0 if MO_FRUITLESS_MAX attempts gave nothing new. */
+/* Makes one mutant of `place`. Returns 1, or 0 if MO_FRUITLESS_MAX attempts found nothing new. */
 static int make_mutant(struct nursery *nursery, uint32_t place, struct mo_random *random)
 {
   const struct mo_campaign_settings *settings = nursery->settings;

@@ -1,6 +1,6 @@
-/* archive.c: see archive.h. The sizes of members and the window of the compression are bounded, so
- * that a small file cannot use much memory. The compression ratio is bounded, so that unpacking
- * cannot take hours. */
+/* archive.c: see archive.h. The sizes of members and the compression window are bounded, so that a
+ * small file cannot use much memory. The compression ratio is bounded, so that unpacking cannot
+ * take hours. */
 #include "exchange/archive.h"
 
 #include <stdio.h>
@@ -21,7 +21,7 @@ struct header { /* ustar; octal digits */
 };
 _Static_assert(sizeof(struct header) == BLOCK, "a header is one block");
 
-/* Makes the header of a member, which has only one form. */
+/* Makes the header of a member. A header has only one form. */
 static void make_header(const char *name, size_t size, struct header *header)
 {
   unsigned sum = 0;
@@ -61,7 +61,7 @@ static void add_sum(struct mo_text *sums, const struct mo_sha256 *sha256, const 
 
 struct mo_archive_writer {
   ZSTD_CCtx *stream;
-  uint64_t taken, made; /* bytes, before and after the compression */
+  uint64_t taken, made; /* bytes before and after compression */
   struct mo_text sums;
 };
 

@@ -201,7 +201,7 @@ static bool is_score_of_measure(const struct mo_campaign_record *record,
   const uint32_t before = (UINT32_C(1) << by->measure) - 1; /* the measures before this one */
   const double mean = design->measures[__builtin_popcount(record->measures & before)];
   const double score = mo_select_by_score(by, mean);
-  return !design->is_cut && (score == design->score); /* no NaN */
+  return !design->is_cut && (score == design->score); /* false for NaN */
 }
 
 /* Returns the reason why a design contradicts its parents or the campaign, or NULL if it does
@@ -246,7 +246,7 @@ static const char *check_design(const struct mo_reading *reading,
   return NULL;
 }
 
-/* Returns room for the means of the next design; it doubles. NULL: no memory. */
+/* Returns space for the means of the next design; the array doubles when full. NULL: no memory. */
 static double *keep_means(struct mo_reading *reading, uint32_t n)
 {
   const size_t used = (size_t)n * reading->n_born, all = used + n;
@@ -334,7 +334,7 @@ static uint32_t count_cut(const struct mo_reading *reading,
   return n;
 }
 
-/* Returns whether the population has a design. */
+/* Returns whether the population contains a design. */
 static bool has_member(const struct mo_reading *reading, uint32_t n_members, uint32_t number)
 {
   for (uint32_t i = 0; i < n_members; i++)

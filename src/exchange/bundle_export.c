@@ -35,7 +35,7 @@ struct mo_bundle_export {
   struct mo_archive_writer *writer; /* NULL: only the digest is needed */
   struct mo_text digest;
   struct mo_bundle_scores *scores; /* of a design */
-  uint32_t scored_number;          /* of that design, plus 1 */
+  uint32_t scored_number;          /* number of that design, plus 1 */
   uint32_t n_controllers;          /* written so far */
   struct mo_sha256 *controllers;
   struct mo_campaign_status status;
@@ -337,7 +337,7 @@ static int take_score(void *context, const struct mo_campaign_score *score)
   export->scored_number = score->number + 1;
   const int added = mo_bundle_scores_add(export->scores, score, &message);
   if (added == 0 || added == MO_ERR_DUPLICATE)
-    return MO_OK; /* the store has the losses in another block as well */
+    return MO_OK; /* the store also has these losses in another block */
   mo_bundle_write_score(&export->member, score);
   mo_text_add(&export->member, "\n");
   return export->member.failed ? MO_ERR_NO_MEMORY : MO_OK;
@@ -370,7 +370,7 @@ static int end_campaign(struct mo_bundle_export *export)
   struct mo_campaign_status now;
   int error = mo_store_campaign(export->store, export->ids[export->i], &now);
   if (error == MO_OK && now.generation != export->status.generation)
-    error = MO_ERR_CONFLICT; /* a client extended it while it was read */
+    error = MO_ERR_CONFLICT; /* a client extended it while it was being read */
   free(export->evaluations);
   export->evaluations = NULL;
   *export->recordings = (struct mo_bundle_recordings){.n = 0};
@@ -427,7 +427,7 @@ static int write_recordings(struct mo_bundle_export *export, struct mo_text *out
   return error == MO_OK ? add(export, name, false, out) : error;
 }
 
-/* Writes the next member, before the end. */
+/* Writes the next member, unless all are written. */
 static int write_next(struct mo_bundle_export *export, struct mo_text *out)
 {
   static int (*const write[])(struct mo_bundle_export * export,

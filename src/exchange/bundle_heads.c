@@ -27,7 +27,7 @@ static void write_id(struct mo_text *text, const void *value)
   mo_text_format(text, "\"%lld\"", (long long)*(const int64_t *)value);
 }
 
-/* A label after a flag that says whether there is one. */
+/* A label, preceded by a flag that says whether there is one. */
 struct label {
   bool is_given;
   char text[MO_LABEL_BYTES_MAX + 1];
@@ -185,8 +185,8 @@ int mo_bundle_read_head(struct mo_bundle_lines *lines, const char *line, size_t 
 #define STRUCT     struct mo_imported_campaign
 #define AT(member) offsetof(STRUCT, member)
 
-/* The controllers at the beginning and the end of the campaign, or null. The second one has no name
- * here. */
+/* The controllers at the beginning and the end of the campaign, or null. A bundle has no name for
+ * the second one. */
 #define IN(first, member) (AT(member) - AT(first))
 static const struct mo_field start_rows[] = {
     {"name", MO_FIELD_TEXT, MO_FIELD_NULL, IN(has_controller, controller_name),

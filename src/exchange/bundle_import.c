@@ -48,7 +48,7 @@ static void write_lasting(const struct mo_imported_campaign *campaign, struct mo
   lasting->source = (struct mo_import_source){.store = 0};
   lasting->record.group = lasting->record.replicate = 0;
   lasting->record.settings.generations = 0;
-  lasting->record.environment_set[0] = '\0'; /* here, the name may stand for different
+  lasting->record.environment_set[0] = '\0'; /* in this store, the name may stand for different
                                                 environments */
   lasting->state = MO_JOB_SUCCEEDED;
   lasting->end = MO_CAMPAIGN_OPEN;
@@ -164,7 +164,7 @@ static int enter_controller(void *context, const struct mo_controller *controlle
   return mo_import_controller(entry->open, controller, sha256, size);
 }
 
-/* Writes the rows of a campaign that still wait. */
+/* Writes the rows of a campaign that are still waiting. */
 static int flush(struct entry *entry)
 {
   const int error = mo_import_flush(entry->open);
@@ -303,7 +303,7 @@ static int compare_lasting(struct entry *entry, uint32_t i)
   int error = status == NULL || stored == NULL
                   ? MO_ERR_NO_MEMORY
                   : mo_bundle_describe(entry->import->store, entry->import->ids[i], status, stored);
-  if (error == MO_ERR_CONFLICT) { /* a client is just extending it */
+  if (error == MO_ERR_CONFLICT) { /* a client is extending it at this moment */
     error = MO_OK;
   } else if (error == MO_OK) {
     write_lasting(stored, &text);

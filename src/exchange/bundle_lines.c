@@ -1,6 +1,6 @@
-/* bundle_lines.c: writes and reads the lines of a bundle. Each line that was read is rewritten and
- * compared, so that every value has only one form and there are no unknown members. Single lines
- * are checked here; bundle_campaign.c checks that they agree with each other. */
+/* bundle_lines.c: writes and reads the lines of a bundle. Each line that is read is written again
+ * and compared, so that every value has only one form and unknown members are rejected. Single
+ * lines are checked here; bundle_campaign.c checks that they agree with each other. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -165,7 +165,7 @@ static void read_double(struct mo_json *json, double missing, double *value)
   }
 }
 
-/* Reads up to `room` numbers, null for `missing`, and counts all. */
+/* Reads up to `room` numbers, with null as `missing`, and counts all of them. */
 static void read_doubles(struct mo_json *json, double missing, double *numbers, uint32_t room,
                          uint32_t *n)
 {
@@ -353,7 +353,7 @@ static void read_held_out(struct mo_json *json, struct mo_re_evaluated *held_out
         else if (mo_json_is(key, "diverged"))
           read_u32(json, MO_CERTIFICATE_HELD_OUT_MAX, &one->diverged);
         else
-          mo_json_skip(json); /* refused when the line is compared */
+          mo_json_skip(json); /* rejected when the line is compared */
       }
   }
 }
@@ -393,7 +393,7 @@ int mo_bundle_read_generation(struct mo_bundle_lines *lines, const char *line, s
     }
   const int error = mo_line_end(lines, message);
   if (error == MO_OK && *n != n_scores)
-    return mo_fail(message, MO_ERR_FORMAT, "numbers and scores differ in length");
+    return mo_fail(message, MO_ERR_FORMAT, "the arrays numbers and scores have different lengths");
   if (error != MO_OK || lines->is_checked)
     return error;
   mo_bundle_write_generation(&lines->again, row, members, *n, held_out, *n_held_out);
@@ -507,7 +507,7 @@ void mo_bundle_write_score(struct mo_text *text, const struct mo_campaign_score 
   mo_text_add(text, "}");
 }
 
-/* Reads the measures of up to MO_BLOCK_LANES rollouts, and counts all. */
+/* Reads the measures of up to MO_BLOCK_LANES rollouts, and counts all rollouts. */
 static void read_measures(struct mo_json *json, double measures[MO_BLOCK_LANES][MO_MEASURES],
                           uint32_t *n, bool *are_whole)
 {

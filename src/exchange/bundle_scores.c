@@ -1,5 +1,5 @@
-/* bundle_scores.c: see bundle_scores.h. The lines of a design have each loss of a class once, and
- * the score of the design follows from its losses, bit for bit.
+/* bundle_scores.c: see bundle_scores.h. The lines of a design contain each loss of a class once,
+ * and the score of the design follows from its losses, bit for bit.
  *
  * Older programs wrote a loss twice if two blocks of their store had it. Therefore a limited number
  * of lines may repeat an earlier line from another block. */

@@ -1,4 +1,5 @@
-/* score_blocks.c: writes and reads blocks of scores. Their lines are like the lines of bundles. */
+/* score_blocks.c: writes and reads blocks of scores. Their lines have the form of the lines in
+ * bundles. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

@@ -1,7 +1,7 @@
 /* block.c: the scratch memory of one worker, and the code between mo_rollout_block and the kernels.
  *
  * The scratch memory is one allocation that grows to the size of the largest body so far. A block
- * with a body that fits allocates nothing. */
+ * whose body fits allocates nothing. */
 #include "rollout/carve.h"
 #include "rollout/fast.h"
 #include "rollout/measuring.h"

@@ -7,9 +7,9 @@
  * root from ≥ 0 to < 0 is
  *   B < 0:  2C / (−B + sqrt(B² − 4AC))        (no cancellation; also right for A = 0)
  *   B ≥ 0:  (−B − sqrt(B² − 4AC)) / (2A)      (only A < 0 can turn down again)
- * A segment that leaves its cell is cut where it crosses a border, and the pieces are tried in
- * order. Beyond the map's edge, the height is constant along that axis, as if there were two more
- * rows of "cells" with a slope of 0. */
+ * A segment that leaves its cell is cut at the edges of cells, and the pieces are tried in order.
+ * Beyond the map's edge, the height is constant along that axis, as if there were two more rows of
+ * "cells" with a slope of 0. */
 #include "rollout/contact.h"
 
 #include "rollout/fast.h"
@@ -104,10 +104,10 @@ double mo_impact_exact(const struct mo_environment *environment, const double po
         return from + descent;
       from = to;
     }
-    /* Not `to >= dt_s`, because NaN must also end the loop: at a speed that is not finite, no
-     * border is ever reached. */
+    /* Not `to >= dt_s`, because NaN must also end the loop: at a speed that is not finite, no cell
+     * edge is ever reached. */
     if (!(to < dt_s))
-      return dt_s; /* below the terrain only by rounding */
+      return dt_s; /* it is below the terrain only because of rounding */
     if (leave_x <= leave_y)
       x.cell += x.speed > 0 ? 1 : -1;
     else
@@ -178,34 +178,35 @@ bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *
 
 /* ---- split ----
  *
- * The velocity v of the middle of the step and the acceleration a by springs and gravity give the
- * velocity w at the impact. The ground takes the part of w along its normal, and friction takes
- * from the tangential part what an impact at that speed takes, unless the mass lies on the ground
- * and so strikes nothing. During the rest of the step, r = dt − τ, the mass slides: tangential
+ * The velocity v in the middle of the step and the acceleration a due to springs and gravity give
+ * the velocity w at the impact. The ground cancels the part of w along its normal, and friction
+ * reduces the tangential part as in an impact at that speed, unless the mass lies on the ground and
+ * therefore strikes nothing. During the rest of the step, r = dt − τ, the mass slides: tangential
  * forces accelerate it, the normal force presses it to the ground, and friction takes friction ·
- * (normal force) · r from its momentum, or stops it. Forces that pull it off lift it. Its velocity
- * at the end of the step is then taken back to the middle, from where the next kick starts.
+ * (normal force) · r from its momentum, or stops it. Forces that point away from the ground lift
+ * it. Its velocity at the end of the step is then moved back to the middle of the step, where the
+ * next kick starts.
  *
  * With a constant acceleration a, a velocity v becomes v + E (a − drag v) after t seconds, E = (1 −
  * exp(−drag t)) / drag. D = t (1 − bend t) is E to second order, and exactly E half a step back, so
- * that a mass at rest stays at rest. Its exponential has the same bits on all machines, because
- * kernels compute rare moves here. */
+ * that a mass at rest stays at rest. The exponential must have the same bits on all machines,
+ * because kernels use these functions for rare moves. */
 
 struct split {
   bool lies;                    /* on the ground when the step starts */
   double bend;                  /* of D, see above */
-  double before, after, back;   /* D: of the time from the middle of the step to the impact, of the
-                                   rest, of half a step back */
+  double before, after, back;   /* D of the time from the middle of the step to the impact, of the
+                                   time after it, and of half a step back */
   double impact, rest;          /* s */
   double hit[3], g[2], n[3];    /* place, the terrain's gradient, its unit normal */
   double w[3], wn, t[3], speed; /* velocity at impact; its normal part; the tangential; its size */
-  double kept;                  /* share of t left after the impact */
+  double kept;                  /* fraction of t that remains after the impact */
   double y[3];                  /* tangential velocity after the impact */
   double b;                     /* normal velocity after the impact */
   double an, q[3], pace;        /* normal acceleration; tangential velocity without friction; |q| */
   double lift, press;           /* normal velocity at the end without the ground; the part that the
                                    ground takes */
-  double held;                  /* share of q left by friction */
+  double held;                  /* fraction of q that friction leaves */
   double z[3];                  /* tangential velocity at the end */
   double end[3];                /* place */
 };
@@ -215,7 +216,7 @@ static double dot(const double a[3], const double b[3])
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-/* Returns the share of a speed that friction leaves. */
+/* Returns the fraction of a speed that friction leaves. */
 static double left_by(double lost, double speed)
 {
   return speed > 0 ? 1 - fmin(lost, speed) / speed : lost > 0 ? 0 : 1;
@@ -298,7 +299,7 @@ bool mo_contact_split(const struct mo_scheme *scheme, const struct mo_constants 
 /* ---- the backward pass: dx is ∂loss/∂x; every contribution is added ---- */
 
 /* Returns the second derivative ∂²h/∂x∂y of the patch; 0 where a coordinate is clamped. The other
- * two vanish: the patch is bilinear. */
+ * second derivatives vanish, because the patch is bilinear. */
 static double twist(const struct mo_environment *environment, double x_m, double y_m)
 {
   const struct mo_terrain_map map = mo_terrain_map_of(environment);
@@ -361,8 +362,8 @@ static void strike_adjoint(const struct mo_constants *constants, const double g[
  * function theorem, with g the terrain's gradient there and rate = v[2] − g · v the speed at which
  * the gap opens, dτ = (g · dp − dp[2] + τ (g · dv − dv[2])) / rate. At τ = 0 and τ = dt it is
  * clamped, and therefore constant. A mass that lies on the ground starts without a gap at any
- * position, so ground · dp replaces dp[2], with `ground` the gradient there. This mass strikes only
- * where the ground rises toward it. The rate may then be close to 0, but so is g − ground. */
+ * position, so ground · dp replaces dp[2], with `ground` the gradient there. A lying mass strikes
+ * the ground only where it rises. The rate may then be close to 0, but so is g − ground. */
 static void impact_adjoint(double impact, double dt, const double *ground, const double g[2],
                            const double v[3], double d_impact, double dp[3], double dv[3])
 {
@@ -459,7 +460,7 @@ void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_con
 }
 
 /* Differentiates z = (1 − min(lost, |q|)/|q|) · q with respect to q; returns ∂loss/∂lost. `speed`:
- * |q|. Once friction stops the mass, nothing flows through it. */
+ * |q|. If friction stops the mass, the derivative is 0. */
 static double slow_adjoint(double lost, double speed, const double q[3], const double dz[3],
                            double dq[3])
 {

@@ -8,8 +8,8 @@
 
 #define EXPONENT_MAX 600.0 /* mo_fast_exp is 0 below −700 */
 
-/* Returns exp(x) for x of either sign. A body can fall so far that the loss would overflow; only a
- * body that diverged has an infinite loss. */
+/* Returns exp(x) for x of either sign. A body can fall so far that the loss would overflow, but
+ * only a body that diverged may have an infinite loss. */
 static double exponential(double x)
 {
   const double bounded = fmin(fmax(x, -EXPONENT_MAX), EXPONENT_MAX);
@@ -37,8 +37,8 @@ static void face(const struct mo_course *course, struct mo_track *track)
     track->facing[axis] = track->length_m > 0 ? (to[axis] - from[axis]) / track->length_m : 0;
 }
 
-/* Returns how far along the track's leg the point nearest to the center of mass is, as if the leg
- * had no ends. */
+/* Returns how far along the track's leg the point nearest to the center of mass is, with the leg
+ * extended to an infinite line. */
 static double along_leg(const struct mo_course *course, const struct mo_track *track)
 {
   const double *from = leg_start(course, track->leg);
@@ -96,7 +96,8 @@ static void point(double angle_rad, double facing[2])
   facing[1] = mo_fast_sin(angle_rad);
 }
 
-/* Aims at time t_s from the track's center of mass; an `ahead` keeps its heading. */
+/* Sets the direction of the guide at time t_s from the track's center of mass; the guide `ahead`
+ * keeps its heading. */
 static void aim(const struct mo_course *course, double t_s, struct mo_track *track)
 {
   const struct mo_guide *guide = guide_of(course);
@@ -168,7 +169,8 @@ void mo_course_begin(struct mo_course *course, const struct mo_environment *envi
   else if (guide->kind == MO_GUIDE_PATH)
     face(course, track);
   aim(course, 0, track);
-  track->before_m = -track->along_m; /* progress is 0 at the start, even if it reaches waypoints */
+  track->before_m = -track->along_m; /* progress is 0 at the start, even if waypoints are reached
+                                        there */
   track->tally.peak_m = -(double)INFINITY;
   course->scale_m = mo_objective_scale(environment->task.objective);
   if (environment->task.objective == MO_OBJECTIVE_EFFICIENT ||
@@ -181,7 +183,7 @@ void mo_course_begin(struct mo_course *course, const struct mo_environment *envi
   }
 }
 
-/* Adds the height of the center of mass at an instant to those that a jump reaches. */
+/* Adds the height of the center of mass at an instant to the heights of a jump. */
 static void look_up(const struct mo_course *course, double t_s, struct mo_track *track)
 {
   struct mo_tally *tally = &track->tally;
@@ -225,7 +227,8 @@ void mo_course_advance(const struct mo_course *course, double t_s, const double 
 
 /* ---- values ---- */
 
-/* Returns 1 − the value of `reach`, `approach` or `pursue`: its loss when it is the only term. */
+/* Returns 1 − the value of `reach`, `approach` or `pursue`, which is the loss if this is the only
+ * term. */
 static double share_of(const struct mo_course *course, const struct mo_track *track, uint32_t term)
 {
   double light_m[2];

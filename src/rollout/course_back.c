@@ -4,7 +4,7 @@
 
 #include <string.h>
 
-/* Computes d += factor · (a − b) / |a − b| in x, y; adds nothing where they meet. */
+/* Computes d += factor · (a − b) / |a − b| in x, y; adds nothing where a and b coincide. */
 static void add_away(double factor, const double *a_m, const double *b_m, double d[3])
 {
   const double length = distance(a_m, b_m);
@@ -18,7 +18,7 @@ static void add_facing(double factor, const struct mo_track *track, double d[3])
     d[axis] += factor * track->facing[axis];
 }
 
-/* Adds the part through the height above the terrain. */
+/* Adds factor times the derivative of the height above the terrain to d. */
 static void add_height(double factor, const struct mo_course *course, const double com_m[3],
                        double d[3])
 {
@@ -36,8 +36,8 @@ static double slope_of(const struct mo_course *course, uint32_t i, double loss, 
   return scale == 0 ? -weight : -weight * (loss * weight_of(course, i)) / scale;
 }
 
-/* Passes back what this instant added to the sums. before: NULL at the start, which adds
- * nothing. */
+/* Runs the sums backward: adds the derivatives of what this instant contributed. before: NULL at
+ * the start, which contributes nothing. */
 static void sums_back(const struct mo_course *course, double t_s, const struct mo_track *before,
                       const struct mo_track *track, const struct mo_course_adjoint *adjoint,
                       double d_com[3])
@@ -76,7 +76,7 @@ static void progress_back(const struct mo_track *track, struct mo_course_adjoint
   adjoint->d_along = 0;
 }
 
-/* For displacement minus the floor, per work: adds the part through the displacement. */
+/* For displacement minus the floor, per work: adds the derivative through the displacement. */
 static void add_efficiency(double slope, const struct mo_course *course, const double com_m[3],
                            double work_j, double d_com[3])
 {
@@ -84,7 +84,7 @@ static void add_efficiency(double slope, const struct mo_course *course, const d
     add_away(slope / work_kj(work_j), com_m, course->start_m, d_com);
 }
 
-/* Adds the part of a term at the end. slope: ∂loss/∂ its value. */
+/* Adds the derivatives of a term at the end. slope: ∂loss/∂ its value. */
 static void term_end_back(const struct mo_course *course, const struct mo_track *track,
                           uint32_t term, double slope, struct mo_course_adjoint *adjoint,
                           double d_com[3])
@@ -174,7 +174,7 @@ void mo_course_back(const struct mo_course *course, double t_s, const struct mo_
   progress_back(track, adjoint, d_com);
 }
 
-/* Adds the part of a term at a restart. slope: weight · ∂loss/∂ its value. */
+/* Adds the derivatives of a term at a restart. slope: weight · ∂loss/∂ its value. */
 static void term_restart(const struct mo_course *course, double t_s, const struct mo_track *track,
                          const double com_m[3], uint32_t term, double slope,
                          const struct mo_course_adjoint *adjoint, double d_com[3])
@@ -204,7 +204,7 @@ static void term_restart(const struct mo_course *course, double t_s, const struc
       add_away(slope / path, com_m, course->start_m, d_com);
     break;
   case MEASURE(MEAN_HEIGHT): add_height(slope / course->n_periods, course, com_m, d_com); break;
-  default: break; /* work does not depend on where the body is */
+  default: break; /* work does not depend on the position of the body */
   }
 }
 

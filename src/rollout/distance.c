@@ -4,9 +4,9 @@
 #include <math.h>
 
 /* With e the square root of the rounded sum of squares, e² exceeds a² + b² by the rounding error,
- * which one step of Newton's method removes. The excess is written so that its parts are small and
- * nearly exact, in one way for b near a, and in another for b below about a/2 (C. F. Borges, "An
- * improved algorithm for hypot(a, b)", 2019, algorithm "corrected, unfused"). */
+ * which one step of Newton's method removes. The excess is written as a sum of terms that are small
+ * and nearly exact, in one way for b near a, and in another for b below about a/2 (C. F. Borges,
+ * "An improved algorithm for hypot(a, b)", 2019, algorithm "corrected, unfused"). */
 double mo_distance(double dx_m, double dy_m)
 {
   double a = fmax(fabs(dx_m), fabs(dy_m)), b = fmin(fabs(dx_m), fabs(dy_m));

@@ -2,9 +2,9 @@
  *
  * The forward pass stores only the state at the start of every segment of about sqrt(n_steps)
  * steps, in whole control periods. The backward pass goes from the last segment to the first: it
- * runs the segment again on a tape, then walks the tape in reverse, and computes the parameters'
- * gradient once per segment. A robot's gradient is summed in its own buffer and added to the result
- * only when all of it is finite. */
+ * runs the segment again on a tape, then traverses the tape in reverse, and computes the
+ * parameters' gradient once per segment. A robot's gradient is summed in a separate buffer and
+ * added to the result only if all of it is finite. */
 #include "rollout/adjoint.h"
 #include "rollout/scene.h"
 
@@ -147,8 +147,8 @@ static void restart(struct gradient *g, uint32_t step, const double com_m[3])
   mo_adjoint_start_at(r, d_com, &g->adjoint);
 }
 
-/* Applies the rule to an adjoint after `steps` steps, with m above the bound. before_m: positions
- * of the masses one step earlier. */
+/* Applies the rule (clip or restart) to an adjoint after `steps` steps whose m is above the bound.
+ * before_m: positions of the masses one step earlier. */
 static void take_back(struct gradient *g, uint32_t steps, double m, const double *before_m)
 {
   if (g->options->adjoint_rule == MO_ADJOINT_RESTART) {

@@ -31,8 +31,8 @@ static void release(struct mo_gradient_buffer *buffer)
   *buffer = (struct mo_gradient_buffer){0};
 }
 
-/* Reserves huge pages, because a tape is long. When the buffer grows, its pages are moved and need
- * not be cleared again. */
+/* Reserves huge pages, because a tape is long. When the buffer grows, its pages are moved, so they
+ * are not cleared again. */
 static int reserve_pages(struct mo_gradient_buffer *buffer, size_t bytes)
 {
   const size_t size = (bytes + HUGE_PAGE - 1) / HUGE_PAGE * HUGE_PAGE;
@@ -132,10 +132,11 @@ static int by_size(const void *a, const void *b)
   return x->robot < y->robot ? -1 : 1;
 }
 
-/* Groups bodies of similar size: small ones share the few springs that all of them have, instead of
- * adding their own springs to the blocks of large ones. Measured on 256 random bodies: 108 tiles
- * per block instead of 172. Searching for the pairs with the largest overlap gains almost nothing
- * beyond that. The largest bodies come first, so that no worker still has one at the end. */
+/* Groups bodies of similar size: small bodies share the few springs that all of them have, instead
+ * of adding their own springs to the blocks of large bodies. For 256 random bodies, this gave 108
+ * tiles per block instead of 172. Searching for the pairs with the largest overlap gains almost
+ * nothing beyond that. The largest bodies come first, so that no worker is still computing one at
+ * the end. */
 int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order)
 {
   struct place *places = malloc((n > 0 ? n : 1) * sizeof(*places));

@@ -7,7 +7,7 @@
 static const char *const names[MO_ISA_COUNT] = {"x86-64", "avx2", "avx512"};
 
 /* Checks three features of x86-64-v3 that some compilers' builtins do not support: MOVBE, F16C,
- * LZCNT. None of them has its own registers, so querying only the CPU is enough. */
+ * LZCNT. None of them adds registers, so querying only the CPU is enough. */
 static bool has_small_features(void)
 {
   unsigned a, b, basic, d, extended;
@@ -16,7 +16,7 @@ static bool has_small_features(void)
 }
 
 /* The compiler's builtins query the CPU and, for the wide registers, the operating system. The
- * lists have the features that meson.build compiles for: x86-64-v3 and x86-64-v4. */
+ * lists contain the features that meson.build compiles for: x86-64-v3 and x86-64-v4. */
 enum mo_isa mo_isa_best(void)
 {
   __builtin_cpu_init();

@@ -10,7 +10,7 @@
 
 #define BIT(name) (UINT32_C(1) << MO_MEASURE_##name)
 
-/* Below this distance, anything that divides by it or points along it is noise. */
+/* Below this distance, a quotient by it, or a direction along it, is noise. */
 #define LEAST_WAY_M 0.01
 
 unsigned mo_observations(uint32_t set)
@@ -75,8 +75,8 @@ void mo_observer_pose(struct mo_observer *observer, const struct mo_pose *pose)
 }
 
 /* The yaw passes π where the second component of `turn` changes its sign and the first is below 0:
- * between two instants the body turns by less than half a turn, so the sign of the cross product is
- * the direction of its turn. */
+ * between two instants the body rotates by less than half a turn, so the sign of the cross product
+ * is the direction of its turn. */
 static int turns_between(const double from[2], const double to[2])
 {
   if ((from[1] < 0) == (to[1] < 0))
@@ -193,7 +193,8 @@ static void rest_offset(const struct mo_body *body, const int64_t sum[3], uint32
         MO_VOXEL_M * (double)((int64_t)body->n_masses * xyz[axis] - sum[axis]) / body->n_masses;
 }
 
-/* Inverts a symmetric matrix. That of a body is regular: it has a voxel, which spans all axes. */
+/* Inverts a symmetric matrix. The matrix of a body is regular, because a body has a voxel, which
+ * spans all axes. */
 static void invert(const double m[3][3], double inverse[3][3])
 {
   double cofactor[3][3];

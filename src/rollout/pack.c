@@ -28,7 +28,7 @@ static void lay_out(struct mo_pack *pack, bool for_gradients, struct carver *car
   }
 }
 
-/* Stores a number + 0: a bias of −0 becomes 0, so that leaving out products of 0 changes no bit
+/* Stores a number + 0: a bias of −0 becomes 0, so that omitting products with 0 changes no bit
  (kernel_tiles.inc).
  */
 static void put(const struct mo_pack *pack, void *array, size_t i, float value)
@@ -39,7 +39,8 @@ static void put(const struct mo_pack *pack, void *array, size_t i, float value)
     ((float *)array)[i] = value + 0.0f;
 }
 
-/* Returns where the weight from input k to output o is, in the panels of a matrix with n inputs. */
+/* Returns the index of the weight from input k to output o in the panels of a matrix with n
+ * inputs. */
 static size_t place(const struct mo_pack *pack, size_t n, size_t o, size_t k)
 {
   return ((o / pack->panel) * n + k) * pack->panel + o % pack->panel;

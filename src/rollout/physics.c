@@ -6,7 +6,7 @@
 
 #include "rollout/kick.h"
 
-#define BISECTIONS_MAX 52 /* halvings of a float64 mantissa */
+#define BISECTIONS_MAX 52 /* number of halvings that exhaust the mantissa of a float64 */
 
 struct mo_physics mo_paper_physics(void)
 {
@@ -32,7 +32,8 @@ struct mo_physics mo_default_physics(void)
   return physics;
 }
 
-/* A decimal period and a decimal step have a quotient that is off by rounding alone. */
+/* The quotient of a period and a step that are whole multiples in decimal is off only by
+ * rounding. */
 uint32_t mo_control_steps(const struct mo_scheme *scheme)
 {
   if (scheme->control_period_s == 0)
@@ -43,7 +44,7 @@ uint32_t mo_control_steps(const struct mo_scheme *scheme)
   return whole < scheme->n_steps ? (uint32_t)whole : scheme->n_steps;
 }
 
-/* A mode follows v' = keep v − push dt λ k/m q, q' = q + dt v'. */
+/* A vibration mode follows v' = keep v − push dt λ k/m q, q' = q + dt v'. */
 static bool is_stable(const struct mo_physics *physics, double eigenvalue, double dt_s)
 {
   const struct mo_constants *constants = &physics->constants;
@@ -151,7 +152,7 @@ static const struct mo_field rows[] = {
     {"actuation", MO_FIELD_NUMBER, 0, AT(constants.actuation), .min = 0, .max = 0.9, .unit = "",
      .help = "largest relative change of a rest length"},
     {"friction", MO_FIELD_NUMBER, 0, AT(constants.friction), .min = 0, .max = 1000, .unit = "",
-     .help = "tangential speed lost per normal speed in a contact"},
+     .help = "tangential speed lost per unit of normal speed in a contact"},
     {"friction_cap", MO_FIELD_NUMBER, 0, AT(constants.friction_cap), .min = 0, .max = 1, .unit = "",
      .help = "largest share of the tangential speed lost in an impact; paper: in each contact"},
     {"drop_height_m", MO_FIELD_NUMBER, 0, AT(drop_height_m), .min = 0, .max = 1000, .unit = "m",

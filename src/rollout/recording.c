@@ -1,4 +1,4 @@
-/* recording.c: the arrays of a recording. Code that allocates, stores or sends recordings walks
+/* recording.c: the arrays of a recording. Code that allocates, stores or sends recordings iterates
  * over the channels with these functions; the simulations fill the arrays by name. */
 #include <morpho/rollout.h>
 

@@ -83,8 +83,8 @@ bool mo_reference_blends(const struct mo_reference *r, uint32_t step)
          step % r->control_steps == 0;
 }
 
-/* Adds the work of the actuators at the start of a control period: what the energy of each spring
- * gains where new outputs replace the previous ones, if it gains. */
+/* Adds the work of the actuators at the start of a control period: the energy that each spring
+ * gains when new outputs replace the previous ones, if it gains any. */
 static void work(struct mo_reference *r, uint32_t step)
 {
   const struct mo_body *body = r->body;
@@ -102,7 +102,7 @@ static void work(struct mo_reference *r, uint32_t step)
   }
 }
 
-/* Sets what the springs pull with. */
+/* Sets the activations with which the springs pull. */
 static void activate(struct mo_reference *r, uint32_t step)
 {
   const bool blends = mo_reference_blends(r, step);
@@ -205,7 +205,7 @@ bool mo_reference_step(struct mo_reference *r, uint32_t step)
   return false;
 }
 
-/* Sets the positions and everything else that a state has. */
+/* Sets the positions and everything else that a state contains. */
 static void take(struct mo_reference *r, const struct mo_state *from)
 {
   const size_t n = 3 * (size_t)r->body->n_masses;
@@ -304,7 +304,7 @@ int mo_reference_init_from(struct mo_reference *reference, const struct mo_body 
   return MO_OK;
 }
 
-/* Returns the place of a window's end among the tracks. */
+/* Returns the index of the track at the end of a window. */
 static uint32_t last_track(const struct mo_reference *r)
 {
   const uint32_t end = r->window.end_step, p = r->control_steps;

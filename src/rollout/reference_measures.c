@@ -1,4 +1,4 @@
-/* reference_measures.c: what the measures observe of the float64 rollout, from the definitions of
+/* reference_measures.c: observes the float64 rollout for the measures, by the definitions in
  * docs/model.md. */
 #include "rollout/reference_measures.h"
 
@@ -75,7 +75,7 @@ void mo_reference_measures_done(struct mo_reference_measures *measures)
   *measures = (struct mo_reference_measures){0};
 }
 
-/* The strain of the springs. */
+/* Observes the strain of the springs. */
 static void observe_springs(struct mo_reference_measures *m, const struct mo_reference *r,
                             const double *position_m, uint32_t step)
 {

@@ -1,9 +1,9 @@
 /* score_error.c: see score_error.h.
  *
- * The discretization error of a loss is estimated from its change by half a step (Richardson): the
- * whole error is 2^p / (2^p − 1) times that for an integrator of order p. Where contact makes a
- * rollout chaotic, that change is just another sample, not an estimate. Errors that happen to
- * cancel in the mean over the environments must therefore not count as a small error: the
+ * The discretization error of a loss is estimated from its change when the step is halved
+ * (Richardson): the whole error is 2^p / (2^p − 1) times that for an integrator of order p. Where
+ * contact makes a rollout chaotic, that change is just another sample, not an estimate. Errors that
+ * happen to cancel in the mean over the environments must therefore not count as a small error: the
  * half-width of the interval combines the error of the mean, the scatter of the environments'
  * errors, and the sensitivity to rounding. */
 #include <morpho/score_error.h>
@@ -43,7 +43,8 @@ struct mo_score_error mo_score_error_unknown(void)
 }
 
 /* Returns the half-width of the interval in units of the three errors, calibrated with tools/bench
- * score-error (docs/performance.md): fewer environments estimate their scatter less well. */
+ * score-error (docs/performance.md). With fewer environments, the estimate of their scatter is less
+ * accurate, so the factor is larger. */
 static double factor_of(uint32_t n)
 {
   return 1.5 + 1.5 / n;

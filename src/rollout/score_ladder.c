@@ -37,7 +37,7 @@ struct mo_setting mo_ladder_run(const struct mo_setting *first, uint32_t n_displ
   return of_run;
 }
 
-/* Returns whether the error of the last rung has not fallen the way a step error does; false if it
+/* Returns whether the error of the last rung has not decreased as a step error would; false if that
  * is unknown. */
 static bool has_stalled(const struct mo_score_error *errors, uint32_t n)
 {

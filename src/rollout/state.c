@@ -219,15 +219,15 @@ int mo_state_check(const struct mo_state *state, const struct mo_body *body,
 
 struct mo_window mo_window_of(const struct mo_scheme *scheme, const struct mo_state *from)
 {
-  /* A control period longer than the rollout is shortened to it: that needs the steps of the whole
-   * rollout. */
+  /* A control period longer than the rollout is shortened to its length, so the number of steps of
+   * the whole rollout is needed. */
   struct mo_scheme whole = *scheme;
   const uint32_t first = from != NULL ? from->step : 0;
   whole.n_steps += first;
   return (struct mo_window){first, whole.n_steps, mo_control_steps(&whole)};
 }
 
-/* The control periods that have an instant after step `begun`: each start of one, and the end. */
+/* Returns the number of instants after step `begun`: starts of control periods, and the end. */
 static uint32_t periods_of(const struct mo_window *window, uint32_t begun)
 {
   const uint32_t p = window->control_steps;
@@ -267,7 +267,7 @@ void mo_window_course(const struct mo_window *window, const struct mo_state *fro
   memcpy(track->tally.sums, t->sums, sizeof(track->tally.sums));
 }
 
-/* Computes where the light stood when the tally began. */
+/* Computes the position of the light when the tally began. */
 static void first_light(const struct mo_environment *environment, const struct mo_scheme *scheme,
                         const double com_start_m[3], double light_m[3])
 {
