@@ -558,9 +558,10 @@ const struct command commands[] = {
      run_campaign_export, NULL, campaign_export_options},
     {"campaign prune", "ID...", "Delete checkpoints of campaigns that have ended.", run_job_prune,
      "Frees 12.4 MB for each campaign that learned. Populations, phylogeny and the resulting "
-     "controller are kept. A simultaneous campaign can then no longer be extended or resumed, and "
-     "without a result its champions can no longer be recorded. Nothing is deleted for a campaign "
-     "that has not ended."},
+     "controller are kept. Afterwards, a simultaneous campaign cannot be extended or resumed, and "
+     "if "
+     "it has no resulting controller, its champions cannot be recorded. Nothing is deleted for a "
+     "campaign that has not ended."},
     ATLAS_COMMANDS,
     CERTIFICATE_COMMANDS,
     {"study ask", "ID N", "Ask a study for N bodies that it has never seen.", run_study_ask,

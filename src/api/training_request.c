@@ -120,7 +120,7 @@ static void check_pretrain(struct mo_json *json, const struct mo_parsed_training
   if (bodies > MO_TRAINING_BODIES_MAX)
     mo_json_fault_at(
         json, 0, "/steps",
-        "%u steps of %u bodies need %llu distinct bodies; a pretraining run has at most %llu",
+        "%u steps of %u bodies need %llu distinct bodies; a pretraining run can use at most %llu",
         settings->n_steps, settings->batch, (unsigned long long)bodies,
         (unsigned long long)MO_TRAINING_BODIES_MAX);
 }

@@ -81,9 +81,10 @@ static struct mo_trajectory *read_trajectory(struct mo_request *request, struct 
   if (!mo_path_id(request, 0, &place->evaluation))
     return NULL;
   if (!mo_decimal(design, strlen(design), 0, MO_DESIGNS_MAX - 1, &place->design)) {
-    mo_reply_problem(request, 404, NULL,
-                     "There is no design \"%s\": give its place in the request, counting from 0.",
-                     MO_SHOWN(design));
+    mo_reply_problem(
+        request, 404, NULL,
+        "There is no design \"%s\": give the index of a design in the request, from 0.",
+        MO_SHOWN(design));
     return NULL;
   }
   if (!mo_query_number(request, "environment", 0, MO_ENVIRONMENTS_MAX - 1, &place->environment) ||

@@ -145,17 +145,19 @@ static int check_learned(struct mo_training_run *run)
 {
   const struct mo_training *training = run->learner.training;
   const uint32_t here = mo_training_run_step(run), n_steps = run->status.record.settings.n_steps;
-  char text[256];
+  char steps[32] = "step", text[256];
   if (here == 0 || mo_training_skipped(training) < here ||
       (here < STEPS_WITHOUT_GRADIENT_MAX && here < n_steps))
     return MO_OK;
   const int error = mo_training_run_flush(run);
   if (error != MO_OK)
     return error;
+  if (here > 1)
+    snprintf(steps, sizeof(steps), "%u steps", (unsigned)here);
   snprintf(text, sizeof(text),
-           "every robot of the first %u step%s diverged or had no finite gradient, so nothing was "
+           "in the first %s, every robot diverged or had no finite gradient, so nothing was "
            "learned; choose a smaller dt_s or stiffness_n_per_m",
-           (unsigned)here, here > 1 ? "s" : "");
+           steps);
   return mo_runner_give_up(run->runner, MO_ERR_RANGE, text);
 }
 

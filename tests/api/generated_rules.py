@@ -44,7 +44,7 @@ RULES = [
     r"must be a time in UTC",
     r"a bundle must have 1 to \d+",
     r"at most the peak",
-    r"\d+ distinct bodies; a pretraining run has at most \d+",
+    r"\d+ distinct bodies; a pretraining run can use at most \d+",
     r"a finetuning run ",
     r"is a preset of pretraining",
     r"the (training run|campaign) starts from a controller",

@@ -181,11 +181,11 @@ class Daemon:
         return self.post(f"/v1/{kind}", request, **options)["id"]
 
     def awaited(self, path, condition, timeout_s=300, every_s=0.005):
-        """Returns the JSON of GET as soon as it fulfills the condition."""
+        """Returns the JSON of GET PATH as soon as it satisfies the condition."""
         return self.until(lambda: self.json(path), timeout_s, condition, every_s)
 
     def until(self, look, timeout_s=900, holds=bool, every_s=0.005):
-        """Returns the result of look() as soon as it holds."""
+        """Calls look() until holds(its result) is true, and returns that result."""
         begun = time.monotonic()
         while not holds(seen := look()):
             assert time.monotonic() < begun + timeout_s, f"{seen}\n{self.tail()}"

@@ -11,7 +11,8 @@ import { toScene } from '../export/scene.js';
 import { drivenRobots, pathOf } from '../stage/driven.js';
 import { commandSections, exportDialog, save } from './share.js';
 
-/** Shows the drive as a recording, and the dialog; afterwards, the drive can continue. */
+/** Suspends the drive, plays it back as a recording, and opens the export dialog. The drive can
+ * continue afterwards. */
 export function saveDialog(driving) {
   const { player, drive, live, world } = driving;
   const { name } = world;

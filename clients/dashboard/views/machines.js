@@ -121,8 +121,8 @@ export async function mount(main, path, parameters, app) {
     const classes = Object.values(fleet.classes).filter(Boolean)
       .map((one) => `${one.scores}: ${countOf(one.sessions, 'worker')}`);
     note.textContent = fleet.listening ? older + classes.join('; ')
-      : 'Only this machine computes. With the setting fleet_listen, workers on other machines ' +
-        'can join (morphod worker).';
+      : 'Only this machine runs rollouts. Set fleet_listen to let workers on other machines join ' +
+        '(morphod worker).';
     const list = (body, items, key, make) => patch(body, items, key, () => h('tr'),
       (element, item) => patchRow(element, [...make(item).cells]));
     list(machines, [{ id: 'own' }, ...open], ({ id }) => id, (session) =>

@@ -345,7 +345,7 @@ export async function mount(main, id, parameters, app) {
   /** Offers new generations: they are drawn on request, because the whole picture changes. */
   function offerNew() {
     fresh.hidden = newest <= shownTo;
-    say(fresh, `${countOf(newest - shownTo, 'new generation')}: show`);
+    say(fresh, `Show ${countOf(newest - shownTo, 'new generation')}`);
   }
 
   async function showNew() {

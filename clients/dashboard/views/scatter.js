@@ -6,7 +6,7 @@ import { countOf, number } from '../lib/format.js';
 
 /** Traits of a design, in addition to the measures of a study: names by key. */
 const TRAITS = { score: 'score', voxels: 'voxels', footprint: 'footprint', springs: 'springs',
-  born: 'born in generation' };
+  born: 'generation of birth' };
 const valueOf = (design, key) =>
   (key in TRAITS ? design[key] : design.measures?.[key.slice('measures.'.length)]) ?? null;
 const OPERATOR_COLORS = { mutation: '--orange', crossover: '--blue', random: '--gray',

@@ -136,7 +136,7 @@ class TrainingCurves {
     const along = {
       step: (i, step) => step,
       robots: (i, step) => step * this.batches[i],
-      // A validation may be newer than the steps.
+      // A validation may arrive before the row of its step, which has the time: NaN until then.
       time: (i, step) => (step ? (times[i][step - 1] ?? NaN) / time.unitS : 0),
     }[this.axis];
     const each = (curves, name, take = (row) => row[name]) => groups.flatMap((group, i) => {
