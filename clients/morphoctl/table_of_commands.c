@@ -559,9 +559,8 @@ const struct command commands[] = {
     {"campaign prune", "ID...", "Delete checkpoints of campaigns that have ended.", run_job_prune,
      "Frees 12.4 MB for each campaign that learned. Populations, phylogeny and the resulting "
      "controller are kept. Afterwards, a simultaneous campaign cannot be extended or resumed, and "
-     "if "
-     "it has no resulting controller, its champions cannot be recorded. Nothing is deleted for a "
-     "campaign that has not ended."},
+     "the champions of a campaign without a resulting controller cannot be recorded. Nothing is "
+     "deleted for a campaign that has not ended."},
     ATLAS_COMMANDS,
     CERTIFICATE_COMMANDS,
     {"study ask", "ID N", "Ask a study for N bodies that it has never seen.", run_study_ask,

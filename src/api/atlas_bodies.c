@@ -1,4 +1,4 @@
-/* atlas_bodies.c: where a body of an atlas stands, and what is near it. */
+/* atlas_bodies.c: the rank of a body in an atlas, its neighbors, and similar bodies. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -7,7 +7,7 @@
 
 #define CHANGES_MAX     64
 #define CHANGES_DEFAULT 8
-#define PATH_MAX_BODIES 1000 /* of an ascent that are listed */
+#define PATH_MAX_BODIES 1000 /* bodies of an ascent that are listed */
 
 static void write_neighbors(struct mo_text *text, const char *name, const struct mo_atlas_use *use,
                             const struct mo_atlas_neighbor *neighbors, uint32_t n)

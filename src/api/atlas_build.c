@@ -53,7 +53,7 @@ static int read_status(struct mo_store *store, int64_t id, union mo_job_status *
   return mo_store_atlas(store, id, &status->atlas);
 }
 
-/* Builds are read and listed only among all jobs: GET /v1/atlases covers finished files. */
+/* Builds are read and listed only as jobs, because GET /v1/atlases lists finished files. */
 const struct mo_resource mo_atlas_resource = {.kind = MO_JOB_ATLAS,
                                               .path = "/v1/atlases",
                                               .status_size = sizeof(struct mo_atlas_status),

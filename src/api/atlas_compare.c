@@ -3,9 +3,9 @@
  *
  * Atlases of one workspace list the same bodies in the same order, so a body is usually at the same
  * position; if it is not, it is looked up. Kendall's tau-b is exact, by Knight's method: the bodies
- * are taken in the order of the first score, and the exchanges that a merge sort by the second one
- * makes are the discordant pairs. The order comes from the index of the first atlas, so 8 bytes per
- * body are needed in addition. */
+ * are put in the order of the first score, and the exchanges in a merge sort by the second score
+ * are the discordant pairs. The order comes from the index of the first atlas, which takes another
+ * 8 bytes per body. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -21,12 +21,12 @@
 struct comparison {
   struct mo_request *request;
   struct mo_atlas_use a, b; /* a has an index */
-  int measure;              /* of a, which takes the place of the scores of b; −1: none */
-  uint64_t n, n_outside;    /* bodies in both; of these, diverged in one of them */
+  int measure;           /* measure of a that is compared instead of the scores of b; −1: none */
+  uint64_t n, n_outside; /* bodies in both atlases; those of them that diverged in either one */
   uint32_t bins;
   float edges[2][BINS_MAX + 1];
   uint64_t *counts; /* (bins, bins): [bin of a][bin of b] */
-  double tau;       /* NaN: all bodies have one score in one of the atlases */
+  double tau;       /* NaN: in one of the atlases, all bodies have the same score */
 };
 
 /* Periodically checks whether the client has left or the service is stopping. */
@@ -139,7 +139,7 @@ static int compare_floats(const void *a, const void *b)
   return p < q ? -1 : p > q;
 }
 
-/* Returns the pairs of equal values in a sorted array. */
+/* Returns the number of pairs of equal values in a sorted array. */
 static uint64_t tied_pairs(const float *values, uint64_t n)
 {
   uint64_t pairs = 0, run = 1;
@@ -154,7 +154,8 @@ static uint64_t tied_pairs(const float *values, uint64_t n)
   return pairs;
 }
 
-/* Sorts values by merging, through `scratch`. Returns the pairs that were in the wrong order. */
+/* Sorts values by merging, through `scratch`. Returns the number of pairs that were in the wrong
+ * order. */
 static uint64_t sort_counting(float *values, float *scratch, uint64_t n)
 {
   uint64_t exchanges = 0;

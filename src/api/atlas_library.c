@@ -1,9 +1,9 @@
 /* atlas_library.c: see atlas_library.h.
  *
- * An entry is a file under a name, identified as by the file system. Every use looks the name up
- * again, so the files that jobs, requests and operators add, replace or remove are noticed at once,
- * and no other part of the service has to report them. An entry whose name leads elsewhere leaves
- * the list, and is freed when its last user releases it.
+ * An entry is a file under a name, with the file system's identification of the file. Every use
+ * looks the name up again, so files that jobs, requests and operators add, replace or remove are
+ * noticed at once, and no other part of the service has to report them. An entry whose name now
+ * refers to another file is removed from the list, and freed when its last user releases it.
  *
  * Files are opened and indexed without the mutex, so that a slow disk or a large file delays only
  * the requests for that file: meanwhile, the entry is busy, and others that need it wait. */
@@ -37,13 +37,13 @@ struct mo_atlas_entry {
   uint32_t n_users;
   bool is_listed;
   bool is_busy;           /* one of its users opens or indexes it */
-  uint64_t used;          /* when, by the library's clock */
+  uint64_t used;          /* time of the last use, by the library's clock */
   struct mo_atlas *atlas; /* NULL: not open */
   struct mo_atlas_index *index;
   struct mo_atlas_basins *basins;
   uint64_t optima; /* UINT64_MAX: unknown */
   struct mo_text description;
-  int error; /* of the content: why it cannot be opened; MO_OK: unknown */
+  int error; /* why this content cannot be opened; MO_OK: unknown */
   struct mo_message message;
   LIST_ENTRY(mo_atlas_entry) others;
 };
@@ -80,7 +80,7 @@ static void discard(struct mo_atlas_entry *entry)
   free(entry);
 }
 
-/* Takes an entry from the list. */
+/* Removes an entry from the list. */
 static void drop(struct mo_atlas_entry *entry)
 {
   LIST_REMOVE(entry, others);
@@ -130,7 +130,7 @@ static struct mo_atlas_entry *find_name(const struct mo_atlas_library *library, 
   return entry;
 }
 
-/* Drops the unused entries of names that lead nowhere. */
+/* Drops the unused entries of names without a file. */
 static void drop_missing(struct mo_atlas_library *library)
 {
   struct mo_atlas_entry *entry = LIST_FIRST(&library->entries);
@@ -145,7 +145,7 @@ static void drop_missing(struct mo_atlas_library *library)
   }
 }
 
-/* Finds or makes the entry of the file that a path leads to now. */
+/* Finds or makes the entry of the file that now has this path. */
 static int find_entry(struct mo_atlas_library *library, const char *name, const char *path,
                       struct mo_atlas_entry **ret)
 {
@@ -267,7 +267,7 @@ static void await_work(struct mo_atlas_library *library, const struct mo_atlas_e
     pthread_cond_wait(&library->idle, &library->mutex);
 }
 
-/* Opens the file of an entry that the caller uses. Releases the mutex in between. */
+/* Opens the file of an entry that the caller uses. Releases the mutex while it opens the file. */
 static int ensure_open(struct mo_atlas_library *library, struct mo_atlas_entry *entry,
                        const char *path, struct mo_message *message)
 {
@@ -291,7 +291,7 @@ static int ensure_open(struct mo_atlas_library *library, struct mo_atlas_entry *
   return error;
 }
 
-/* The same for the index of an open file. */
+/* Makes the index of an open file in the same way. */
 static int ensure_index(struct mo_atlas_library *library, struct mo_atlas_entry *entry)
 {
   struct mo_atlas_index *made = NULL;
@@ -315,8 +315,8 @@ static void leave(struct mo_atlas_library *library, struct mo_atlas_entry *entry
     discard(entry);
 }
 
-/* Finds the file of a name, and opens it, unless only the description is needed and known. The
- * entry gets a user. */
+/* Finds the file of a name, and opens it, unless only the description is needed and known. Adds a
+ * user to the entry. */
 static int take(struct mo_atlas_library *library, const char *name, bool to_describe,
                 struct mo_atlas_entry **ret, struct mo_message *message)
 {
@@ -345,7 +345,7 @@ static int take(struct mo_atlas_library *library, const char *name, bool to_desc
   free(path);
   if (error != MO_OK)
     return error;
-  if (!to_describe) /* a list of all atlases does not make a file worth keeping */
+  if (!to_describe) /* describing all atlases in a list is no reason to keep a file open */
     entry->used = ++library->clock;
   *ret = entry;
   return MO_OK;

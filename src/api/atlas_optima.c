@@ -1,7 +1,7 @@
 /* atlas_optima.c: the local optima with the largest basins, and which of these basins touch.
  *
  * Two basins touch where a body of one is a neighbor of a body of the other. A pair of neighbors is
- * found once, from its larger body. Only the bodies of the listed basins are examined: a small part
+ * found once, from its larger body. Only the bodies of the listed basins are examined, a small part
  * of all bodies. */
 #include <stdlib.h>
 
@@ -19,7 +19,7 @@ struct optimum {
 struct network {
   uint32_t n, limit;
   struct optimum optima[OPTIMA_MAX]; /* (n) the largest basins first */
-  uint32_t positions[OPTIMA_MAX];    /* (n) theirs, ascending */
+  uint32_t positions[OPTIMA_MAX];    /* (n) the positions of these optima, ascending */
   uint16_t places[OPTIMA_MAX];       /* (n) the place in `optima` of each of these */
   uint32_t *touching;                /* (n, n) pairs of neighbors, at [lower place][higher place] */
 };

@@ -7,7 +7,7 @@
 #define BINS_MAX     1024
 #define BINS_DEFAULT 64
 
-/* What bodies are ordered by: the score, or a measure. */
+/* The number by which bodies are ordered: the score, or a measure. */
 struct order {
   const struct mo_atlas_index *index;
   struct mo_atlas_index *own; /* NULL: the index is that of the scores */
@@ -41,8 +41,9 @@ static bool begin_order(struct mo_request *request, const struct mo_atlas_use *u
 
 /* ---- the best ---- */
 
-/* Returns which bodies are in a range of scores or of values: as many as counts[1], after those of
- * counts[0]. Those without a value, and diverged ones, come last, if the range has no end there. */
+/* Finds the bodies in a range of scores or of values: counts[1] bodies, which follow the first
+ * counts[0]. Bodies without a value, and diverged ones, come last, if the range is open at that
+ * end. */
 static void find_range(const struct mo_request *request, const struct mo_atlas_use *use,
                        const struct order *order, uint32_t n_voxels, float lo, float hi,
                        uint64_t counts[2])
@@ -59,7 +60,8 @@ static void find_range(const struct mo_request *request, const struct mo_atlas_u
                 counts[0];
 }
 
-/* What a list shows of an ordered range: all of it, or the bodies with some scores. */
+/* The part of an ordered range that a list shows: all of it, or the bodies whose scores are in a
+ * range. */
 struct part {
   const struct mo_atlas_use *use;
   const struct order *order;
@@ -186,8 +188,8 @@ static void write_counts(struct mo_text *text, const struct mo_atlas_use *use,
   mo_text_add(text, "]");
 }
 
-/* Finds where the bins begin and end if the request does not say: at the lowest and after the
- * highest finite score or value. */
+/* Finds where the bins begin and end if the request does not specify it: at the lowest and after
+ * the highest finite score or value. */
 static void find_ends(const struct mo_atlas_use *use, const struct order *order, float *lo,
                       float *hi)
 {

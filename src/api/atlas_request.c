@@ -8,7 +8,7 @@
 #include "rollout/physics.h"
 #include "store/select_by.h"
 
-#define PREFIX "morpho-12-" /* of the sets of the suite's tasks */
+#define PREFIX "morpho-12-" /* prefix of the names of the sets of the suite's tasks */
 
 static void read_name(struct mo_json *json, void *value)
 {
@@ -70,7 +70,7 @@ static int check(struct mo_json *json, void *any)
   return MO_OK;
 }
 
-/* Makes the beginning of a name that the request leaves open: walk-10, walk-10-canonical. */
+/* Makes the base of a name, if the request does not specify one: walk-10, walk-10-canonical. */
 static void make_base(struct mo_atlas_request *request)
 {
   const char *set = request->environment_set != NULL ? request->environment_set : "atlas";

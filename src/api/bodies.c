@@ -1,4 +1,4 @@
-/* bodies.c: makes random, mutated and crossed bodies, and canonical forms, as campaigns do, for
+/* bodies.c: makes random bodies, mutants, crossovers and canonical forms, as campaigns do, for
  * searches that run elsewhere. Nothing is stored; the same request returns the same bodies. */
 #include <stdio.h>
 #include <stdlib.h>
@@ -168,7 +168,7 @@ static struct place *places_of(const struct parsed *parsed, struct mo_workspace 
   return places;
 }
 
-/* Adds a body. parents: (n_parents) places; genotype empty: `note` says why. */
+/* Adds a body. parents: (n_parents) places; genotype empty: `note` gives the reason. */
 static void add(struct bodies *bodies, const struct mo_genotype *genotype, const uint32_t *parents,
                 unsigned n_parents, const struct mo_design_note *note)
 {
@@ -234,8 +234,8 @@ static int check_random(struct mo_json *json, void *any)
 }
 
 /* Takes the kept stream if it is at the request's first body or before it. Otherwise opens a new
- * one. Which bodies are new depends on all earlier ones, so those are drawn as well, in about 6 µs
- * each. */
+ * one. Whether a body is new depends on all earlier ones, so those are drawn as well, which takes
+ * about 6 µs each. */
 static int take_stream(struct mo_random_stream *kept, const struct parsed *parsed,
                        struct mo_workspace workspace, struct mo_body_stream **stream)
 {

@@ -29,7 +29,7 @@ static bool check_ended(struct mo_request *request, int64_t id, struct mo_campai
   return false;
 }
 
-/* Checks that a service would import this many recordings. */
+/* Checks that the number of recordings is not more than a service would import. */
 static bool check_recordings(struct mo_request *request, const int64_t *ids, uint32_t n)
 {
   uint64_t sum = 0;
@@ -94,7 +94,7 @@ void mo_api_get_bundle(struct mo_request *request)
       mo_bundle_export_create(api->store, program, ids, n, with_recordings != 0);
   if (export == NULL)
     mo_reply_error(request, MO_ERR_NO_MEMORY, "bundle");
-  else /* the memory for a member and the compression */
+  else /* reserves memory for a member and for the compression */
     mo_download_open(request, MO_ARCHIVE_TYPE, NULL, (uint64_t)8 << 20, mo_bundle_export_more,
                      export, mo_bundle_export_free);
 }

@@ -104,7 +104,7 @@ struct founders {
   struct mo_parts *parts;
   struct listed *listed; /* (n_designs) those that fit */
   uint32_t n_listed;
-  uint32_t *places; /* (n_designs) in the request */
+  uint32_t *places; /* (n_designs) indices in the request */
   uint32_t n_noted; /* notes from reading the request */
 };
 
@@ -127,7 +127,7 @@ static void leave_out(struct founders *founders, uint32_t i, const char *format,
   parts->genotypes[i] = (struct mo_bits){{0}};
   if (founders->n_noted > 0)
     known = bsearch(&key, parts->notes, founders->n_noted, sizeof(key), by_place);
-  if (known != NULL) { /* it already has a note: it was repaired, or given by its id */
+  if (known != NULL) { /* the design already has a note: it was repaired, or given by its id */
     *known = key;
     parts->n_skipped++;
   } else if (!mo_parts_note(parts, &key)) {
@@ -173,7 +173,7 @@ static void check_repeats(struct founders *founders, uint32_t *first)
                 founders->places[first[i]]);
 }
 
-/* Closes the gaps of designs that these checks left out. */
+/* Closes the gaps left by designs that these checks removed. */
 static void close_gaps(struct mo_parts *parts)
 {
   uint32_t n = 0;
@@ -267,7 +267,7 @@ static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *pa
                      mo_campaign_mode_words[mode]);
 }
 
-/* Checks that a study is not asked to do its client's work. */
+/* Checks that the request for a study has no settings of work that its client does. */
 static void check_study(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
   static const char words[] =
@@ -345,7 +345,7 @@ static void check_re_evaluation(struct mo_json *json, const struct mo_parsed_cam
                      "a study does not support this: its client decides which designs to score "
                      "again; evaluate or certify them");
   if (!is_listed && set < 0)
-    return; /* there is no such set, which is refused elsewhere */
+    return; /* there is no such set, which is rejected elsewhere */
   const char *reason = mo_fresh_refuses(&base);
   if (reason != NULL)
     mo_json_fault_at(json, 0, "/re_evaluate", "no fresh worlds can be drawn: %s", reason);

@@ -27,14 +27,14 @@ static void write_initial(struct mo_text *text, const struct mo_campaign_record 
     mo_text_member(text, "initial", "random");
 }
 
-/* Writes which listed designs were skipped or repaired. */
+/* Writes notes on the listed designs that were skipped or repaired. */
 static int write_notes(struct mo_api *api, struct mo_text *text,
                        const struct mo_campaign_status *status)
 {
   struct mo_design_note *notes = NULL;
   uint32_t n = 0;
   const int error = !mo_modes[status->record.settings.mode].makes_children
-                        ? MO_OK /* its notes are the notes of its newest batch */
+                        ? MO_OK /* its notes are those of its newest batch */
                         : mo_store_design_notes(api->store, status->record.group, &notes, &n);
   mo_member_notes(text, "founders", notes, n);
   free(notes);
@@ -44,7 +44,7 @@ static int write_notes(struct mo_api *api, struct mo_text *text,
 static void write_settings(struct mo_text *text, const struct mo_campaign_status *status)
 {
   const struct mo_campaign_record *record = &status->record;
-  struct mo_campaign_record shown = *record; /* with values instead of null */
+  struct mo_campaign_record shown = *record; /* a copy with values instead of null */
   struct mo_campaign_settings *settings = &shown.settings;
   if (settings->mutation_rate == 0)
     settings->mutation_rate = 1.0 / mo_workspace_voxels(settings->workspace);

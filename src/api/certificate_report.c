@@ -1,5 +1,5 @@
-/* certificate_report.c: the report of a certificate, as JSON and CSV. It is computed from the
- * stored losses by each request: for a running job, from the trials that are complete. */
+/* certificate_report.c: the report of a certificate, as JSON and CSV. Each request computes it from
+ * the stored losses; for a running job, from the complete trials. */
 #include "api/certificates.h"
 
 #include <math.h>
@@ -13,7 +13,7 @@
 
 /* ---- content ---- */
 
-/* Returns the flags of a design in the base, and its largest measures; NaN: unknown. */
+/* Returns the flags of a design at the base, and its largest measures there; NaN: unknown. */
 static uint32_t flags_of(const struct mo_report *report, uint32_t design, double *peak_strain,
                          double *inverted_voxels)
 {
@@ -86,8 +86,8 @@ static struct mo_genotype form_of(const struct mo_genotype *genotype)
   return form;
 }
 
-/* Writes what a verdict says in brief: its class, whether the rank is roughly kept on the finest
- * steps, and the axes at whose levels the design is worse. */
+/* Writes a verdict in brief: its class, whether the rank is roughly kept on the finest steps, and
+ * the axes at whose levels the design is worse. */
 static void write_brief(struct mo_text *text, const struct mo_report *report, uint32_t d)
 {
   const struct mo_verdict brief =

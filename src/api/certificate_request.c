@@ -1,7 +1,7 @@
 /* certificate_request.c: the body of POST /v1/certificates.
  *
- * What a request with a population leaves out is taken from that job at submission, so the reader
- * records what was given. */
+ * If a request names a population, settings that it leaves out are taken from that job at
+ * submission, so the parser records which settings were given. */
 #include "api/certificate_request.h"
 
 #include "rollout/physics.h"
@@ -63,7 +63,7 @@ static int check(struct mo_json *json, void *any)
     mo_json_fault_at(json, 0, "/physics", "%s", message.text);
   else if (request->has_physics || request->record.population == 0)
     mo_parts_check_factors(json, &parsed->parts, &request->physics, NULL);
-  /* Readers of the other settings have checked them. */
+  /* The other settings were checked when they were read. */
   if (json->faults->n == 0 && mo_certificate_check(&request->record.settings, &message) != MO_OK)
     mo_json_fault_at(json, 0, "/ranges", "%s", message.text);
   if (parts->no_controller)

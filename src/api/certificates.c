@@ -31,7 +31,7 @@ static void write_population(struct mo_text *text, enum mo_job_kind kind, int64_
   mo_text_add(text, "}");
 }
 
-/* Writes what the job with the designs provided. */
+/* Writes which settings were taken from the job with the designs. */
 static void write_taken(struct mo_text *text, uint32_t taken)
 {
   static const char *const words[] = {"controller", "environments", "physics"};
@@ -114,8 +114,8 @@ void mo_members_axes(struct mo_text *text, const struct mo_certificate_settings 
   mo_text_add(text, "]");
 }
 
-/* Writes what is not in a list: the source of the designs, the axes that do not apply, and the
- * notes. */
+/* Writes the members that list items do not have: the source of the designs, the axes that do not
+ * apply, and the notes. */
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *any,
                        const struct mo_live *live, bool is_listed)
 {

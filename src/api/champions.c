@@ -9,7 +9,8 @@
 
 #define CHAMPIONS_MAX 1000
 
-/* Writes which re-evaluation the champions had a chance to be in; nothing if the campaign has none.
+/* Writes the re-evaluation in which the champions may have taken part; nothing if the campaign has
+ none.
  */
 static int write_re_evaluated(struct mo_text *text, struct mo_store *store,
                               const struct mo_campaign_status *status, int64_t generation)
@@ -75,7 +76,7 @@ void mo_api_get_campaign_champions(struct mo_request *request)
 }
 
 struct asked {
-  struct mo_champions_request request; /* record: NOT_GIVEN unless it was given */
+  struct mo_champions_request request; /* record is NOT_GIVEN unless the request has it */
   struct mo_parts parts;
 };
 #define NOT_GIVEN UINT_MAX

@@ -4,7 +4,7 @@
 #include "api/job_json.h"
 #include "api/jobs.h"
 
-/* Opens an object with the place of a checkpoint; only campaigns have generations. */
+/* Opens an object with the step of a checkpoint and, in campaigns, its generation. */
 static void write_place(struct mo_text *text, const struct mo_resource *kind, uint32_t generation,
                         uint32_t step)
 {

@@ -11,7 +11,8 @@
 #include "exchange/columns.h"
 
 #define PLACE_MAX     INT64_C(9999999999)
-#define ROWS_READ_MAX 5000 /* for one page of replicates, over all of them; 10 µs each */
+#define ROWS_READ_MAX 5000 /* rows read for one page of replicates, over all of them; 10 µs each  \
+                            */
 
 struct curve;
 
@@ -34,11 +35,11 @@ struct curve {
   const struct curve_kind *kind;
   int64_t id;
   int64_t after;  /* step, generation or campaign; −1: none */
-  uint32_t step;  /* within that generation; where `after` is a campaign, its generation */
+  uint32_t step;  /* step within that generation or, if `after` is a campaign, its generation */
   int64_t stride; /* of steps or generations */
   int64_t limit;  /* rows of a page */
-  /* The campaigns to read, ascending. Replicates: only the ones that count; `newest` is the newest
-   * generation that all of them have. */
+  /* The campaigns to read, ascending. Replicates: only those that count; `newest` is the newest
+   * generation that all of them have reached. */
   int64_t *members;
   uint32_t n_members, member; /* member: the index of the one being read */
   int64_t newest;
@@ -79,7 +80,7 @@ static int64_t read_generations(struct curve *curve, void *rows, size_t limit)
   return n;
 }
 
-/* Columns before the columns of a generation, in tables of several campaigns. */
+/* Columns that precede those of a generation, in tables of several campaigns. */
 static const char member_columns[] =
     "campaign group replicate:u label mode state seed:l own_score aggregate";
 

@@ -1,6 +1,6 @@
-/* design_request.c: reads the designs in request bodies. Every fault has its place: a cell out of
- * bounds is at /designs/3/cells/7/0. If the request says so, an invalid design is skipped, and a
- * body in several pieces is reduced to its largest piece. A note records this. */
+/* design_request.c: reads the designs in request bodies. Every fault has its JSON pointer: a cell
+ * out of bounds is at /designs/3/cells/7/0. If the request says so, an invalid design is skipped,
+ * and a body in several pieces is reduced to its largest piece. A note records this. */
 #include "api/requests.h"
 
 #include <stdio.h>
@@ -133,8 +133,8 @@ static bool read_voxels(struct mo_json *json, struct shape *shape)
   struct mo_cell_fault fault;
   if (!mo_json_string(json, &text))
     return false;
-  if (text.size > 0 && text.bytes[0] == 'g') { /* CSV files write it so, and clients may send it
-                                                  back unchanged */
+  if (text.size > 0 && text.bytes[0] == 'g') { /* CSV files have this letter, and clients may send
+                                                  it back unchanged */
     text.bytes++;
     text.size--;
   }
@@ -226,7 +226,7 @@ static void read_design(struct mo_json *json, struct shape *shape)
 
 void *mo_next_item(void **items, size_t n, size_t size)
 {
-  if ((n & (n - 1)) == 0) { /* 0, 1, 2, 4, …: the array is full */
+  if ((n & (n - 1)) == 0) { /* n is 0, 1, 2, 4, …: the array is full */
     void *grown = realloc(*items, (n > 0 ? 2 * n : 1) * size);
     if (grown == NULL)
       return NULL;
@@ -249,7 +249,7 @@ bool mo_parts_note(struct mo_parts *parts, const struct mo_design_note *note)
 
 bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t place)
 {
-  struct mo_faults own, *all = json->faults; /* not cleared as a whole: it is large */
+  struct mo_faults own, *all = json->faults; /* not cleared as a whole, because it is large */
   struct shape shape = {
       .bits = mo_next_item((void **)&parts->genotypes, parts->n_designs, sizeof(*parts->genotypes)),
       .repairs = parts->repair == MO_REPAIR_LARGEST};
@@ -336,7 +336,7 @@ struct population {
   int64_t id;
   uint32_t best; /* 0: not given */
   unsigned sources;
-  bool is_drawn; /* it has members that describe a sample, besides the atlas */
+  bool is_drawn; /* it has members that describe a sample, in addition to the atlas */
 };
 
 static void check_population(struct mo_json *json, unsigned depth,

@@ -260,7 +260,7 @@ void mo_api_list_designs(struct mo_request *request)
     if (error != MO_OK)
       return;
     query.controller_sha256 = controller.sha256;
-    /* With a period that does not fit the default step, nothing can have been scored. */
+    /* If the period is not a multiple of the default step, nothing can have been scored. */
     (void)mo_physics_complete(&query.physics, controller.control_period_s);
     snprintf(query.environment_set, sizeof(query.environment_set), "%s", mo_set_words[set]);
     snprintf(query.fingerprint, sizeof(query.fingerprint), "%s",

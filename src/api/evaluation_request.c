@@ -1,5 +1,5 @@
-/* evaluation_request.c: the body of POST /v1/evaluations. Every fault has its place: a cell out of
- * bounds is at /designs/3/cells/7/0. */
+/* evaluation_request.c: the body of POST /v1/evaluations. Every fault has its JSON pointer: a cell
+ * out of bounds is at /designs/3/cells/7/0. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -108,14 +108,14 @@ static int suite_of(const struct mo_parts *parts)
 }
 
 /* Returns the number of environments, listed or of a set or suite. *highest_m: the highest ground
- * in them, with the drop onto it. */
+ * in them, plus the drop. */
 static uint32_t survey_worlds(struct mo_json *json, struct mo_parts *parts, double *highest_m)
 {
   struct mo_environment *of_set = NULL;
   uint32_t n = parts->n_environments;
   *highest_m = 0;
   if (suite_of(parts) >= 0)
-    return mo_suite_environments(suite_of(parts)); /* rejected where heights count */
+    return mo_suite_environments(suite_of(parts)); /* a suite is rejected where heights matter */
   if (parts->environments == NULL) {
     of_set = malloc(MO_SET_ENVIRONMENTS_MAX * sizeof(*of_set));
     n = of_set != NULL
@@ -220,7 +220,7 @@ static void check_measures(struct mo_json *json, const struct mo_parsed_evaluati
                      "them");
 }
 
-/* A suite has several sets, and these work on one. */
+/* Rejects what works only on one set, because a suite has several. */
 static void check_suite(struct mo_json *json, const struct mo_parsed_evaluation *parsed)
 {
   const struct mo_evaluation_request *request = &parsed->request;
@@ -266,7 +266,7 @@ static int check(struct mo_json *json, void *any)
   const bool is_large = random->count > 0 || parsed->parts.n_designs > MO_DESIGNS_MAX;
   double highest_m = 0;
   request->n_displaced = estimates ? MO_ERROR_DISPLACED : 0;
-  /* The worlds of a set are drawn for this: only where they count. */
+  /* This draws the worlds of a set, so call it only if they matter. */
   check_large(json, parsed,
               estimates || is_large ? survey_worlds(json, &parsed->parts, &highest_m) : 0);
   if (suite_of(&parsed->parts) >= 0)

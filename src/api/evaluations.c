@@ -8,9 +8,9 @@
 #include "api/suite.h"
 #include "rollout/physics.h"
 
-/* The reply for a whole evaluation has at most this many measured numbers, about 60 MB: those of
- * MO_DESIGNS_MAX designs on the paper's test set. Longer results are read in pages. In a suite each
- * rollout counts as its loss and its value. */
+/* The reply for a whole evaluation contains at most this many measured numbers, about 60 MB: those
+ * of MO_DESIGNS_MAX designs on the paper's test set. Longer results are read in pages. In a suite,
+ * each rollout counts as two numbers: its loss and its value. */
 #define MEASURED_MAX 2000000
 
 /* ---- the kind ---- */
@@ -199,8 +199,8 @@ static int read_status(struct mo_store *store, int64_t id, union mo_job_status *
   return mo_store_job(store, id, &status->job);
 }
 
-/* Returns how many numbers a design may add to a reply that is not a short list of losses; 0: only
- * those. */
+/* Returns how many numbers a design may add to a reply in addition to a short list of losses; 0: no
+ * others. */
 static uint64_t numbers_of_design(const struct mo_job *job)
 {
   const uint32_t each =
@@ -305,7 +305,7 @@ void mo_api_get_results(struct mo_request *request)
   if (first < 0)
     first = 0;
   if (error == MO_OK && first > job.n_designs)
-    first = job.n_designs; /* after the last one */
+    first = job.n_designs; /* past the last design */
   const uint64_t each = error == MO_OK ? numbers_of_design(&job) : 0;
   if (each > 0 && limit * each > MEASURED_MAX)
     limit = each < MEASURED_MAX ? MEASURED_MAX / each : 1;

@@ -60,7 +60,7 @@ void mo_events_leave(struct mo_api *api)
 
 /* ---- streams ---- */
 
-/* A mo_stream_fill. */
+/* A callback of type mo_stream_fill. */
 static int64_t fill(struct mo_request *request, struct mo_stream_place *place,
                     struct mo_text *frames)
 {
@@ -77,7 +77,8 @@ static int64_t fill(struct mo_request *request, struct mo_stream_place *place,
   if (n == MO_ERR_CORRUPT)
     mo_request_note(request, "the events cannot be read: %s", mo_error_text((int)n));
   if (n >= 0 && (place->after < oldest - 1 || known != place->after)) {
-    /* The sequence is unknown (pruned, or of a different history), so the client must restart. */
+    /* The sequence number is unknown (pruned, or from a different history), so the client must
+     * start over. */
     place->after = place->after < oldest - 1 ? oldest - 1 : known;
     mo_text_format(frames,
                    "id: %lld\nevent: reset\ndata: {\"oldest\":\"%lld\",\"newest\":\"%lld\"}\n\n",
@@ -108,7 +109,7 @@ static void open_stream(struct mo_request *request, int64_t after, int64_t job)
   }
   int error = MO_OK;
   if (after < 0) {
-    /* Start with the next event. Those that arrive before the stream is open are read from the
+    /* Start with the next event. Events that arrive before the stream is open are read from the
      * store. */
     int64_t n =
         mo_store_events(mo_api_of(request)->store, INT64_MAX - 1, 0, NULL, 0, NULL, &place.after);

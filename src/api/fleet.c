@@ -47,7 +47,7 @@ static struct mo_fleet *own_session(struct mo_request *request, uint64_t *sessio
 
 /* ---- waiting ---- */
 
-/* Reads how long the request may wait. */
+/* Reads the time that the request may wait. */
 static void read_wait(struct mo_request *request)
 {
   if (request->wait_over)
@@ -120,8 +120,8 @@ static int check_offer(struct mo_json *json, void *any)
     if (scores != (offer->classes[i].gradients[0] != '\0'))
       mo_json_fault_at(json, 0, places[i], "scores, gradients and canary are required");
     if (strpbrk(offer->classes[i].scores, "\"\\") != NULL ||
-        strpbrk(offer->classes[i].gradients, "\"\\") != NULL) /* it is copied into events without
-                                                               * escapes */
+        strpbrk(offer->classes[i].gradients, "\"\\") != NULL) /* these texts are copied into events
+                                                               * without escapes */
       mo_json_fault_at(json, 0, places[i], "a class must not have quotation marks or backslashes");
   }
   if (!serves)

@@ -1,4 +1,4 @@
-/* fleet_status.c: shows the workers on other machines to clients, and lets operators manage them.
+/* fleet_status.c: reports the workers on other machines to clients, and lets operators manage them.
  */
 #include "api/fleet.h"
 

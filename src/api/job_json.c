@@ -141,7 +141,7 @@ void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const str
   mo_text_member(text, "experiment", job->experiment[0] != '\0' ? job->experiment : NULL);
   mo_text_member(text, "note", job->note[0] != '\0' ? job->note : NULL);
   mo_text_member_time(text, "archived_at", job->archived_us);
-  /* The share of a job that has ended can stay for a moment, and still count. */
+  /* The share of a job that has ended can remain for a moment, and still count time. */
   const bool runs = !mo_job_state_is_final(job->state);
   mo_text_member_number(text, "core_seconds",
                         runs ? fmax(job->worker_s, live->worker_s) : job->worker_s);

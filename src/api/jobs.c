@@ -57,8 +57,8 @@ static void reply_page(struct mo_request *request, struct mo_text *text, int64_t
   mo_reply_text(request, n < 0 ? (int)n : MO_OK, text, "page");
 }
 
-/* Writes an item of a list. listed: the kind of the list; NULL: jobs of any kind. Writes nothing if
- * the job is no longer in `state` (−1: any). */
+/* Writes an item of a list. listed: the kind of the list; NULL: any kind. Writes nothing if the job
+ * is no longer in `state` (−1: any state). */
 static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_resource *listed,
                       const void *item, int state)
 {
@@ -173,8 +173,8 @@ void mo_api_list_jobs(struct mo_request *request)
 
 /* ---- control ---- */
 
-/* Replies with the job after a change. conflict: the action that its state does not allow, in
- * words. */
+/* Replies with the job after a change. conflict: describes the action that the job's state does not
+ * allow. */
 static void reply_changed(struct mo_request *request, int64_t id, int error, const char *conflict)
 {
   const bool refused = error == MO_ERR_CONFLICT;

@@ -9,7 +9,7 @@
 #include "http/metrics.h"
 #include "jobs/live.h"
 
-#define RUNNING_MAX 32 /* running jobs with their own series */
+#define RUNNING_MAX 32 /* limit of running jobs with their own series */
 
 /* Write a metric of one line to `text`. */
 #define GAUGE(name, value, help)   mo_metric(text, name, "gauge", help, (double)(value))

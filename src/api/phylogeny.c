@@ -14,7 +14,7 @@
 #include "http/download.h"
 #include "store/studies.h"
 
-/* Cursors have at most as many digits as the contract allows. A cursor beyond the last design is
+/* Cursors have at most as many digits as the contract allows. A cursor beyond the last design marks
  * the end. */
 #define POPULATION_CURSOR_MAX 999999
 
@@ -48,7 +48,8 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
   mo_text_format(text, ",%s,", mo_campaign_operator(row));
   if (isfinite(row->score))
     mo_text_json_number(text, row->score);
-  mo_text_add(text, ",d"); /* letters, because programs that read tables mistake 8e00… for a number
+  mo_text_add(text, ",d"); /* preceded by letters, because programs that read tables mistake 8e00…
+                            for a number
                             */
   mo_form_write(text, &row->form);
   mo_text_add(text, ",");
@@ -355,7 +356,7 @@ static int more_lines(void *context, struct mo_text *text)
   }
   free(rows);
   if (n <= 0)
-    return n < 0 ? (int)n : MO_ERR_CORRUPT; /* fewer designs than the campaign counts */
+    return n < 0 ? (int)n : MO_ERR_CORRUPT; /* there are fewer designs than the campaign's count */
   lines->left -= (uint64_t)n;
   return lines->left > 0;
 }
@@ -504,7 +505,7 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
   request->reply.packs = true;
   mo_reply_etag(request, "%s", tag);
   if (request->reply.status == 304)
-    return; /* answered by the tag, before anything is read */
+    return; /* the tag answers the request before anything is read */
   if (form == COLUMNS) {
     mo_api_reply_columns(request, &status, wanted.since, wanted.lineages == 1, tag);
   } else if (form == NEWICK) {

@@ -45,7 +45,7 @@ static void choose_rows(struct mo_campaign_columns *columns, const uint8_t *kept
   columns->n = n;
 }
 
-/* Returns whether all generations fit into 16 bits. The largest value stands for the living. */
+/* Returns whether all generations fit into 16 bits. The largest value marks living designs. */
 static bool is_narrow(const struct mo_campaign_columns *columns)
 {
   for (uint32_t i = 0; i < columns->n; i++)
@@ -68,7 +68,8 @@ static void write_generations(struct mo_text *text, struct mo_text *arrays, cons
   uint16_t *packed = (uint16_t *)(void *)generations;
   for (uint32_t i = 0; narrow && i < n; i++) {
     const uint16_t value = (uint16_t)(generations[i] == MO_ALIVE ? UINT16_MAX : generations[i]);
-    memcpy(&packed[i], &value, sizeof(value)); /* never overwrites a value that is still to be read
+    memcpy(&packed[i], &value, sizeof(value)); /* this never overwrites a value that has yet to be
+                                                read
                                                 */
   }
   write_column(text, arrays, name, narrow ? "uint16" : "uint32", generations, narrow ? 2 : 4, n);

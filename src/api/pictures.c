@@ -1,5 +1,5 @@
-/* pictures.c: the picture of an evaluation in a suite: which designs it shows, and how far its axes
- * go. */
+/* pictures.c: the picture of an evaluation in a suite: which designs it shows, and where its axes
+ * end. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -10,7 +10,7 @@
 #include "http/field.h"
 #include "store/worlds.h"
 
-#define AXIS_SCALES 3 /* of the loss: 3 m traveled, 0.3 m climbed */
+#define AXIS_SCALES 3 /* in scales of the loss: 3 m traveled, 0.3 m climbed */
 
 /* Chooses the ends of the axes: the same for tasks whose values have the same scale, so that they
  * can be compared, and usually the same for all pictures. */
@@ -51,7 +51,8 @@ static int read_numbers(struct mo_request *request, const struct mo_job *job, ui
   return n;
 }
 
-/* The mean over fewer tasks is not comparable: designs with a loss in more tasks come first. */
+/* Means over different numbers of tasks are not comparable, so designs with a loss in more tasks
+ * come first. */
 static bool is_better(const struct mo_suite_scores *a, const struct mo_suite_scores *b)
 {
   return a->n_left_out != b->n_left_out ? a->n_left_out < b->n_left_out

@@ -1,7 +1,7 @@
 /* recordings.c: everything that an evaluation recorded in one channel, as one NumPy array:
  * (designs, environments, frames, …). Designs have different numbers of masses and springs, so the
- * last dimensions fit the largest design. The rest is padded with values that no recording has, and
- * so are designs that were skipped. The array is read and sent rollout by rollout. */
+ * last dimensions fit the largest design. The rest, including the designs that were skipped, is
+ * padded with values that no recording contains. The array is read and sent rollout by rollout. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -22,8 +22,8 @@ struct recordings {
   struct mo_trajectory_sides sides;         /* the largest of all */
   size_t row;                               /* bytes of a frame */
   struct mo_design_note *notes;             /* (n_notes) */
-  uint32_t n_notes, note;                   /* note: the first one at or after the design of the
-                                               next rollout */
+  uint32_t n_notes, note;                   /* note: index of the first note at or after the design
+                                               of the next rollout */
   bool begun;
 };
 
@@ -73,7 +73,7 @@ static int write_rollout(struct mo_text *text, const struct recordings *all,
   return MO_OK;
 }
 
-/* A mo_download_more. */
+/* A callback of type mo_download_more. */
 static int more_rollouts(void *context, struct mo_text *text)
 {
   struct recordings *all = context;

@@ -77,7 +77,7 @@ static void check_light(struct mo_json *json, unsigned depth, const char *below,
                      MO_VOXEL_M);
 }
 
-/* The members of an environment that were given. */
+/* Which members of an environment were given. */
 struct given {
   bool task, light, terrain, heights, sigma, seed;
 };
@@ -107,7 +107,7 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
   int64_t seed = 0;
   struct mo_json_slice key;
   *environment = mo_environment_defaults;
-  struct mo_environment tasked = mo_environment_defaults; /* only the task and its light */
+  struct mo_environment tasked = mo_environment_defaults; /* takes only the task and its light */
   if (!mo_json_object(json))
     return;
   while (mo_json_member(json, &key)) {
@@ -188,7 +188,7 @@ static void read_set(struct mo_json *json, struct mo_parts *parts)
   "all grids together may have at most %d heights; use smaller or fewer grids"
 
 /* Reads an array of 1 to MO_ENVIRONMENTS_MAX environments, each by `read`. Skips it if the request
- * has already given another one, which a check reports. */
+ * already contains another list, which a later check reports. */
 static void read_list(struct mo_json *json, const char *what,
                       void (*read)(struct mo_json *json, struct mo_environment *environment),
                       struct mo_parts *parts)
@@ -225,7 +225,7 @@ static void read_list(struct mo_json *json, const char *what,
   parts->n_environments = n < MO_ENVIRONMENTS_MAX ? n : MO_ENVIRONMENTS_MAX;
 }
 
-/* How the environments of a request vary. */
+/* How the environments of a request are varied. */
 struct variation {
   struct mo_factor_ranges ranges;
   int64_t count, seed; /* count 0: as many as there are environments to vary */
@@ -233,8 +233,8 @@ struct variation {
 
 /* Sets varied (MO_ENVIRONMENTS_MAX, empty) to `count` of the environments in turn, with variations
  * drawn from the ranges, and replaces the environments by them. MO_ERR_LIMIT: their grids have too
- * many heights. MO_ERR_UNSUPPORTED, MO_ERR_RANGE: environment *at cannot vary like this; `message`
- * says why. */
+ * many heights. MO_ERR_UNSUPPORTED, MO_ERR_RANGE: environment *at cannot be varied in this way;
+ * `message` says why. */
 static int vary(struct mo_parts *parts, const struct variation *by, struct mo_environment *varied,
                 uint32_t *at, struct mo_message *message)
 {

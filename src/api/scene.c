@@ -31,7 +31,7 @@ static void write_number(struct mo_text *text, const struct mo_scene_array *arra
     mo_text_format(text, "%u", ((const uint8_t *)array->numbers)[i]);
 }
 
-/* Writes an array as JSON, with brackets before and after the numbers where rows begin and end. */
+/* Writes an array as JSON, with brackets where rows begin and end. */
 static void write_rows(struct mo_text *text, const struct mo_scene_array *array)
 {
   size_t n = 1;
@@ -109,7 +109,7 @@ static const struct {
 } sides[6] = {{{-1, 0, 0}, {0, 1, 3, 2}}, {{1, 0, 0}, {4, 6, 7, 5}},  {{0, -1, 0}, {0, 4, 5, 1}},
               {{0, 1, 0}, {2, 3, 7, 6}},  {{0, 0, -1}, {0, 2, 6, 4}}, {{0, 0, 1}, {1, 5, 7, 3}}};
 
-/* Returns whether a genotype has a voxel at (x, y, z); none has one outside the workspace. */
+/* Returns whether a genotype has a voxel at (x, y, z); false outside the workspace. */
 static bool has_voxel(const struct mo_genotype *genotype, int x, int y, int z)
 {
   const struct mo_workspace workspace = genotype->workspace;
@@ -196,8 +196,8 @@ int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
 
 /* ---- whole scenes ---- */
 
-/* Positions that are at most this far from their midpoint have an error of at most 0.5 mm as
- * int16. */
+/* Positions that are at most this far from their midpoint have an error of at most 0.5 mm when
+ * stored as int16. */
 #define INT16_HALF_M 32.0
 
 /* Writes rows of numbers as an array of float32. */
@@ -313,7 +313,7 @@ static int write_recording(struct mo_text *text, struct mo_text *arrays,
   return error;
 }
 
-/* Finds the center of mass in a frame. Returns false if nothing was recorded that has it. */
+/* Finds the center of mass in a frame. Returns false if no recorded channel contains it. */
 static bool com_at(const struct mo_recording *recording, uint32_t frame, uint32_t n_masses,
                    double com_m[3])
 {
@@ -330,8 +330,8 @@ static bool com_at(const struct mo_recording *recording, uint32_t frame, uint32_
   return recording->com_m != NULL || masses != NULL;
 }
 
-/* Writes where the guide of a task places the light in each frame, from the recorded centers of
- * mass. May fail with MO_ERR_NO_MEMORY. */
+/* Writes the position of the light in each frame, computed from the task's guide and the recorded
+ * centers of mass. May fail with MO_ERR_NO_MEMORY. */
 static int write_lights(struct mo_text *text, struct mo_text *arrays,
                         const struct mo_rollouts *rollouts, uint32_t rollout, uint32_t n_masses)
 {
@@ -402,7 +402,8 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
   for (uint32_t k = 0; k < n && unstable == 0; k++)
     unstable =
         mo_warn_of_world(&rollouts->physics, &rollouts->environments[k], k, &warnings[n_warnings]);
-  n_warnings += unstable; /* only if the physics is stable without factors: two fit */
+  n_warnings += unstable; /* set only if the physics is stable without factors, so two warnings
+                             fit */
   mo_physics_hash(&rollouts->physics, rollouts->precision, rollouts->sensor, &physics);
   mo_text_object(text);
   mo_member_hash(text, "controller", &rollouts->controller);

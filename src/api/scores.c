@@ -8,7 +8,9 @@
 #include "exchange/score_block.h"
 #include "http/download.h"
 
-#define HELD_BYTES ((uint64_t)16 << 20) /* a block, and its members while they are written */
+#define HELD_BYTES                                                                                 \
+  ((uint64_t)16 << 20) /* memory of a block, and of its members while they are                     \
+                          written */
 
 /* ---- export ---- */
 
@@ -99,7 +101,7 @@ struct entering {
   struct mo_score_block *block;
   struct mo_scores_imported *entered;
   uint32_t n; /* blocks that were imported */
-  size_t at;  /* where the next one begins */
+  size_t at;  /* offset of the next block */
 };
 
 static int enter_next(struct mo_request *request, struct entering *entering,

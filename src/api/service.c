@@ -9,8 +9,8 @@
 #include "base/clock.h"
 #include "base/thread.h"
 
-#define SAMPLE_US 10000000 /* of the load */
-#define HEADING   "\n## "  /* of a part of docs/problems.md */
+#define SAMPLE_US 10000000 /* time between two samples of the load */
+#define HEADING   "\n## "  /* begins a section of docs/problems.md */
 
 /* ---- health ---- */
 

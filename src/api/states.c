@@ -1,4 +1,4 @@
-/* states.c: see states.h. Numbers are written so that they read back to the bit: positions as
+/* states.c: see states.h. Numbers are written so that they read back bit for bit: positions as
  * float64, since they are sums of float32 or float64 numbers, and everything else in the precision
  * of the rollout. */
 #include "api/states.h"
@@ -11,7 +11,7 @@
 #include "base/sha256.h"
 #include "exchange/values.h"
 
-/* Those of the whole workspace. */
+/* Masses and springs of the whole workspace. */
 #define MASSES_MAX  MO_DEFAULT_MASSES
 #define SPRINGS_MAX MO_DEFAULT_SPRINGS
 #define VOXELS_MAX  MO_DEFAULT_VOXELS
@@ -108,7 +108,7 @@ struct reading {
   unsigned has_keys;
 };
 
-/* Reads numbers within ±limit, or whole ones from 0 to limit. */
+/* Reads numbers within ±limit, or whole numbers from 0 to limit. */
 static void read_list(struct mo_json *json, struct reading *r, struct list *list, uint32_t most,
                       double limit, bool whole)
 {
@@ -296,7 +296,7 @@ static void read_members(struct mo_json *json, struct reading *r)
   }
 }
 
-/* Returns the first member that is missing, or whose length does not fit. */
+/* Returns the first member that is missing, or whose length is wrong. */
 static const char *gap_of(const struct reading *r)
 {
   return !r->has_robot                       ? "robot"
@@ -431,7 +431,7 @@ static const struct mo_field rows[] = {
 #undef AT
 const struct mo_fields mo_states_fields = MO_FIELDS(rows);
 
-/* Returns the step that ends at a time; UINT32_MAX: no step ends then. */
+/* Returns the step that ends at a time; UINT32_MAX if no step ends then. */
 static uint32_t step_at(double time_s, double dt_s)
 {
   const double step = rint(time_s / dt_s);
@@ -473,8 +473,9 @@ void mo_states_free(struct mo_parsed_states *states)
 
 /* ---- writing ---- */
 
-/* Writes a number of a float32 or float64 rollout. Fewer than nine digits may be so far from a
- * float32 that rounding to float64 first leads to its neighbor: then nine are written. */
+/* Writes a number of a float32 or float64 rollout. A decimal number with fewer than nine digits can
+ * be so far from the float32 that a reader who rounds it to float64 first gets a neighboring
+ * float32. In this case, nine digits are written. */
 static void write_number(struct mo_text *text, enum mo_precision precision, double number)
 {
   if (precision == MO_FLOAT64) {
@@ -502,7 +503,7 @@ static void write_vectors(struct mo_text *text, const char *name, enum mo_precis
   mo_text_add(text, "]");
 }
 
-/* Writes the bytes themselves, or the places of those that are not 0. */
+/* Writes the bytes themselves, or the indices of those that are not 0. */
 static void write_bytes(struct mo_text *text, const char *name, const uint8_t *bytes, uint32_t n,
                         bool places)
 {

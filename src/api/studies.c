@@ -30,7 +30,7 @@ struct told {
   struct mo_campaign_design *designs; /* (n) */
   struct mo_bits *genotypes;          /* (n) */
   struct mo_campaign_loss *losses;    /* (n) */
-  double (*measures)[MO_MEASURES];    /* (n, n_environments) room; NULL: the study requests none */
+  double (*measures)[MO_MEASURES];    /* (n, n_environments) space; NULL: the study requests none */
   uint8_t *known;                     /* (n) */
   struct mo_environment *tasks;       /* nullable */
   struct mo_design_note *notes;       /* (n_notes) */
@@ -162,7 +162,8 @@ static void reply_batch(struct mo_request *request, int64_t id, unsigned status_
     mo_text_free(&text);
 }
 
-/* Lets the request wait until no batch is pending. Returns false if it waits or has its reply. */
+/* Lets the request wait until no batch is pending. Returns false if it is waiting or has its
+ * reply. */
 static bool await_batch(struct mo_request *request, int64_t id)
 {
   struct mo_campaign_status status;

@@ -1,7 +1,7 @@
 /* study_compare.c: see study_compare.h.
  *
  * The body is read a second time, over the study's settings instead of the defaults. If a setting
- * differs afterward, the request gave it a different value. */
+ * differs after that, the request gave it a different value. */
 #include "api/study_compare.h"
 
 #include <stdio.h>
@@ -58,7 +58,7 @@ static struct mo_campaign_record in_numbers(const struct mo_campaign_record *rec
 
 /* ---- environments ---- */
 
-/* Shows numbers as JSON; one number without brackets. */
+/* Writes numbers as JSON; a single number has no brackets. */
 static void show(const double *numbers, uint32_t n, char text[VALUE_SHOWN])
 {
   size_t at = (size_t)snprintf(text, VALUE_SHOWN, "%s", n > 1 ? "[" : "");
@@ -289,17 +289,18 @@ int mo_study_compare(const char *text, size_t size, const struct mo_campaign_sta
                      struct mo_faults *faults)
 {
   struct comparison comparison = {.status = status, .faults = faults};
-  struct mo_faults read = {0}; /* the first reading had none */
+  struct mo_faults read = {0}; /* the first pass found no faults */
   struct mo_parsed_campaign parsed = {
       .request.record = status->record,
       .parts.job = {.priority = (int)status->job.priority, .weight = status->job.weight},
       .preset = -1};
   struct mo_campaign_record given, known = in_numbers(&status->record);
-  if (status->record.select_by.is_set) /* its name is the service's */
+  if (status->record.select_by.is_set) /* the service chose its name */
     known.own_score = parsed.request.record.own_score = (struct mo_own_score){.name = ""};
   comparison.error =
       mo_read_body(text, size, &mo_campaign_request_fields, &parsed, &parsed.parts, NULL, &read);
-  if (parsed.request.record.select_by.is_set) /* it is among the measures, named there or not */
+  if (parsed.request.record.select_by.is_set) /* it is one of the measures, whether or not the list
+                                                 names it */
     parsed.request.record.measures |= UINT32_C(1) << parsed.request.record.select_by.measure;
   given = in_numbers(&parsed.request.record);
   given.settings.generations = known.settings.generations; /* the client can send any number of

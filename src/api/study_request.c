@@ -1,5 +1,5 @@
-/* study_request.c: the bodies of POST …/tell and …/ask. Every fault has its place: a voxel out of
- * bounds is at /children/3/body/cells/7/0. */
+/* study_request.c: the bodies of POST …/tell and …/ask. Every fault has its JSON pointer: a voxel
+ * out of bounds is at /children/3/body/cells/7/0. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -101,7 +101,7 @@ static void read_measures(struct mo_json *json, uint32_t taken, struct mo_study_
 /* Reads the client's own score of a child. Null leaves it missing, for a child that is skipped. */
 static void read_score(struct mo_json *json, bool has_scores, double *score)
 {
-  double number = 0; /* stays if there is a fault, which is not reported twice */
+  double number = 0; /* kept if there is a fault, so that the score causes no second fault */
   if (!has_scores) {
     mo_json_fault(json, "this study has no own_score, so children cannot have a score");
     mo_json_skip(json);
@@ -137,7 +137,7 @@ static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t
     return true;
   }
   if (parts->n_notes > 0 && parts->notes[parts->n_notes - 1].place == place)
-    parts->n_notes--; /* it was repaired, or given by its id */
+    parts->n_notes--; /* discard its note: it was repaired, or given by its id */
   parts->n_designs--;
   return mo_parts_note(parts, &note);
 }
@@ -222,8 +222,8 @@ static void read_children(struct mo_json *json, void *value)
     mo_json_fault_at(json, depth, "", "must be at most %d children, got %u", MO_DESIGNS_MAX, n);
 }
 
-/* Drops the room for scores if the study has no score of its own. A batch without children also has
- * scores. */
+/* Drops the space for scores if the study has no own score. In a study with one, even a batch
+ * without children has scores. */
 static int pack_scores(struct mo_study_batch *batch, bool has_scores)
 {
   if (has_scores && batch->scores == NULL)

@@ -23,7 +23,7 @@ static void finish(struct mo_suite_scores *scores)
     scores->losses[t] = scores->values[t] = NAN;
     scores->n_left_out++;
   }
-  scores->mean_loss = sum / (MO_SUITE_TASKS - scores->n_left_out); /* of no task: 0 / 0 */
+  scores->mean_loss = sum / (MO_SUITE_TASKS - scores->n_left_out); /* 0 / 0 if there is no task */
 }
 
 struct mo_suite_scores mo_suite_scores(const struct mo_evaluation_results *results, uint32_t d,
@@ -60,7 +60,7 @@ struct mo_suite_scores mo_suite_means(const struct mo_evaluation_results *result
         means.n[t]++;
       }
   }
-  for (uint32_t t = 0; t < MO_SUITE_TASKS; t++) { /* of no design: 0 / 0 */
+  for (uint32_t t = 0; t < MO_SUITE_TASKS; t++) { /* 0 / 0 if there is no design */
     means.losses[t] /= means.n[t];
     means.values[t] /= means.n[t];
   }

@@ -9,13 +9,13 @@
 
 #define WIDE_PX    620 /* at this width or more, the legend is beside the axes */
 #define LEGEND_PX  210
-#define LABEL_PX   96 /* for the labels on either side */
+#define LABEL_PX   96 /* space for the labels on either side */
 #define NARROW_PX  76 /* the same in a narrow picture */
 #define RADIUS_MAX 190
 #define RINGS      3
-#define FILLED_MAX 3 /* more filled polygons hide each other */
+#define FILLED_MAX 3 /* more filled polygons would hide each other */
 #define TOP_PX     78
-#define ROW_PX     40 /* of the legend */
+#define ROW_PX     40 /* height of a row of the legend */
 
 static const struct {
   const char *light, *dark;
@@ -92,7 +92,7 @@ static void draw_axis(const struct picture *picture, uint32_t t, const struct mo
   write_words(picture, x, y + 14, MUTED, 11, anchor, range);
 }
 
-/* A value below 0 is at the center, one that is missing leaves a gap. */
+/* A value below 0 is drawn at the center, and a missing value leaves a gap. */
 static void draw_polygon(const struct picture *picture, const struct mo_suite_polygon *polygon,
                          int color, bool is_filled, const struct mo_suite_axis *axes)
 {

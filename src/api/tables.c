@@ -1,6 +1,6 @@
 /* tables.c: lists and curves in formats other than JSON. The handler of a list makes its pages as
- * JSON. Lines and columns are made from these pages one by one, so that any number of lines needs
- * the memory of only one page. See tables.h. */
+ * JSON. Lines and columns are made from these pages one by one, so that memory for only one page is
+ * needed, however many lines there are. See tables.h. */
 #include "api/tables.h"
 
 #include <math.h>
@@ -49,7 +49,7 @@ struct column {
   const char *csv;               /* its name in CSV; NULL: as `name` */
   const struct numbers *numbers; /* NULL: any JSON */
   char letter;                   /* before its values in CSV; 0: none */
-  /* Its value in the current row: a place in `cells`. */
+  /* Its value in the current row: a range of `cells`. */
   enum mo_json_kind found;
   size_t at, length;
   struct mo_text values; /* for the form `columns`: the values of all rows */
@@ -132,7 +132,7 @@ static bool read_page(struct table *table)
     set(&request->query, "limit", table->limit);
   }
   const char *tags = request->framing.if_none_match;
-  request->framing.if_none_match = NULL; /* these are for the table, not for a page */
+  request->framing.if_none_match = NULL; /* these fields are about the table, not about a page */
   table->page(request);
   request->framing.if_none_match = tags;
   if (request->reply.status != 200 || request->reply.body == NULL)
@@ -327,7 +327,7 @@ static int take_next(struct table *table, struct mo_text *text)
 
 /* ---- replies ---- */
 
-/* A mo_download_more. */
+/* A callback of type mo_download_more. */
 static int more_lines(void *context, struct mo_text *text)
 {
   struct table *table = context;
@@ -431,9 +431,9 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   table->form = form;
   table->is_limited = limit != NULL;
   table->left = table->is_limited ? strtoull(limit, NULL, 10) : UINT64_MAX;
-  request->framing.accept = NULL; /* it has been read; pages are JSON */
+  request->framing.accept = NULL; /* the field has been read already, and pages are JSON */
   read_columns(table, columns, rows);
-  if (!read_page(table)) { /* it has replied with the problem */
+  if (!read_page(table)) { /* read_page has replied with the problem */
     free_table(table);
   } else if (form == MO_FORM_COLUMNS) {
     reply_columns(request, table);

@@ -1,5 +1,5 @@
 /* training_bodies.c: the designs of a training run that finetunes each one separately: their scores
- * before and after, and how well the first predict the second. */
+ * before and after, and how well the scores before predict those after. */
 #include <math.h>
 #include <stdlib.h>
 
@@ -116,8 +116,8 @@ static int write_summary(struct mo_text *text, struct mo_store *store,
 
 /* ---- the reply ---- */
 
-/* Only the first page has the summary: its time grows with the square of the number of designs, to
- * half a second for 10,000. */
+/* Only the first page has the summary, because computing it takes time that grows with the square
+ * of the number of designs: half a second for 10,000. */
 static int write_page(struct mo_api *api, struct mo_text *text,
                       const struct mo_training_status *status, int64_t after, int64_t limit)
 {

@@ -68,8 +68,8 @@ static void check_finetune(struct mo_json *json, const struct mo_parsed_training
                      mo_learning_preset_words[parsed->preset]);
 }
 
-/* Each design is its own validation set, which is scored before its first and after its last step;
- * a request may repeat the settings of a reply, which say so. Names get the position of the
+/* Each design is its own validation set, which is scored before its first and after its last step.
+ * A request may contain these settings explicitly, as replies do. Names get the position of the
  * design. */
 static void check_each(struct mo_json *json, struct mo_parsed_training *parsed)
 {

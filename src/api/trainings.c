@@ -19,7 +19,7 @@ static const char *kind_name(const struct mo_training_status *status)
 }
 
 /* Returns the steps applied. After a crash, a run that resumed from a checkpoint may be behind the
- * stored curve. A run that is being prepared does not have its step yet. */
+ * stored curve. The step of a run that is being prepared is not known yet. */
 static uint32_t step_of(const struct mo_training_status *status, const struct mo_live *live)
 {
   if (live->phase == MO_PHASE_IDLE)
@@ -72,7 +72,7 @@ static void write_settings(struct mo_text *text, const struct mo_training_status
   mo_text_add(text, "}");
 }
 
-/* Writes how the designs were drawn from an atlas, and which. */
+/* Writes how the designs were drawn, and from which atlas. */
 static void write_sample(struct mo_text *text, const struct mo_atlas_sample *sample)
 {
   mo_text_open(text, "sample", "{");

@@ -9,7 +9,7 @@
 
 /* ---- the request ---- */
 
-#define LIMIT 16 /* rows, unless the request gives a number */
+#define LIMIT 16 /* number of rows, unless the request specifies it */
 
 struct parsed {
   char origin[MO_ORIGIN_BYTES]; /* NAME@HOST, or a host */

@@ -6,7 +6,7 @@
 #include "base/words.h"
 #include "world/factors.h"
 
-/* The worlds of a named set in which learning varies drops or slopes. */
+/* Checks the worlds of a named set in which learning varies drops or slopes. */
 static void check_set(struct mo_json *json, struct mo_parts *parts,
                       const struct mo_factor_ranges *vary)
 {

@@ -149,7 +149,7 @@ void mo_api_get_job_environments(struct mo_request *request)
 }
 
 /* Reads the design that a path names into a genotype with its workspace: the notation of a robot,
- * an id, whose body is canonical, or a genotype. False: the reply is made. */
+ * an id, whose body is canonical, or a genotype. Returns false if it has replied. */
 static bool read_design(struct mo_request *request, struct mo_genotype *genotype)
 {
   const char *digits = request->parameters[0];

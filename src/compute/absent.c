@@ -1,5 +1,5 @@
-/* absent.c: devices that exist only on other machines. Their blocks wait in a queue like the blocks
- * of other devices, and remote takers compute all of them. One thread, the keeper, handles the
+/* absent.c: devices that exist only on other machines. Their blocks wait in a queue, like the
+ * blocks of other devices, and remote takers compute them all. One thread, the keeper, handles the
  * blocks that takers do not get: cancelled blocks, and blocks that no taker can compute, which go
  * to the workers. */
 #include "compute/devices.h"

@@ -8,10 +8,10 @@
  * waits, the worker runs it at once, on its own stack and with separate scratch memory, and then
  * resumes its block; the bits of that block do not change. Interactive blocks interrupt batch and
  * gradient blocks; immediate blocks also interrupt interactive ones, so that a client with one
- * rollout does not wait for a client with many. A more urgent block waits for a few steps of a
- * rollout, never for an entire block, and one thread per worker is enough. Gradient blocks never
- * run inside another block: a worker has only one gradient scratch, hundreds of megabytes, created
- * at first use.
+ * rollout does not wait for a client with many. A more urgent block therefore waits for a few steps
+ * of a rollout, never for an entire block, and one thread per worker is enough. Gradient blocks
+ * never run inside another block, because a worker has only one gradient scratch, of hundreds of
+ * megabytes, which is created at first use.
  *
  * Shutdown: `stopping` makes running blocks return at their next pause point; the workers then
  * return the queued blocks as cancelled, and exit. Every block's `done` is called exactly once.
@@ -31,8 +31,8 @@
 
 enum {
   PAUSE_STEPS =
-      20, /* between checks of the queue, for bodies of the default workspace: about 1 ms */
-  PAUSE_SPRINGS = 2000, /* larger bodies are checked after every step */
+      20, /* steps between checks of the queue, for bodies of the default workspace: about 1 ms */
+  PAUSE_SPRINGS = 2000, /* bodies with more springs check after every step */
   PAUSE_GRADIENT_STEPS = 4,
   PAUSE_GRADIENT_SPRINGS = MO_GRADIENT_ROBOTS * PAUSE_SPRINGS,
   LOOK_AGAIN_US = 50000,
@@ -47,7 +47,7 @@ struct worker {
   struct mo_workspace_memory *memory[DEPTHS];
   struct mo_gradient_memory *gradient; /* NULL before the first gradient block */
   uint64_t overtaken_ns;
-  uint_fast32_t trimmed; /* number of the last trim that the worker has done */
+  uint_fast32_t trimmed; /* number of the last trim that the worker performed */
   bool is_running;
   pthread_t thread;
 };
@@ -56,7 +56,7 @@ struct mo_compute {
   struct mo_compute_core core;
   int nice;
   atomic_size_t gradient_bytes;
-  atomic_uint_fast32_t trims; /* trims requested */
+  atomic_uint_fast32_t trims; /* number of trims requested */
   struct worker *workers;     /* (core.n_workers) */
   struct mo_fair fair;        /* its mutex guards all queues */
   pthread_cond_t wake;
@@ -238,7 +238,7 @@ static void count(struct worker *worker, const struct mo_block *block)
   atomic_fetch_add(&compute->rollouts_diverged, diverged);
 }
 
-/* Returns whether other scoring blocks take about as long: passive bodies take less time, and
+/* Returns whether a block's time is typical of scoring blocks: passive bodies take less time, and
  * recordings, measures and states take more. */
 static bool is_plain(const struct mo_block *block)
 {
@@ -292,7 +292,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
   } else {
     atomic_fetch_add(&run.share->blocks_done, 1);
   }
-  block->done(block, block->context); /* the block and its share may have been freed now */
+  block->done(block, block->context); /* the block and its share may have been freed by now */
   mo_thread_tag = outer_tag;
 }
 

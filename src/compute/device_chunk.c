@@ -34,7 +34,7 @@ void mo_chunk_destroy(struct mo_chunk *chunk)
 
 struct room {
   const struct mo_block *like;
-  uint32_t rows; /* left */
+  uint32_t rows; /* number of rows left */
 };
 
 static bool fits(const struct mo_block *block, void *context)
@@ -158,7 +158,7 @@ static void build_bodies(void *context, size_t first, size_t end)
 }
 
 /* Lays out the rows, and moves the blocks that have rows before the blocks that already have a
- * result. Environments of one body are adjacent, even across blocks. */
+ * result. Environments of one body become adjacent, even across blocks. */
 static void lay_out(struct mo_chunk *chunk)
 {
   const uint32_t n = chunk->n_active;

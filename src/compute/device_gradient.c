@@ -2,8 +2,8 @@
  *
  * The batch is cut into shards of MO_DEVICE_SHARD consecutive robots, and the shards into as many
  * parts as there are working devices, one call each. Every shard has its own float32 sum; shards
- * are added in float64, in order. So the bits depend neither on the number of devices nor on how a
- * call had to be halved.
+ * are added in float64, in order. The bits therefore depend neither on the number of devices nor on
+ * whether calls had to be halved.
  *
  * The robots of the next batch do not depend on the weights: another thread may lay out the next
  * batch while one is computed. */
@@ -24,9 +24,9 @@ struct laid_out {
   uint32_t n, n_parts;
   struct mo_physics physics;
   struct {
-    struct mo_device_layout *layout; /* keeps its memory */
+    struct mo_device_layout *layout; /* keeps its memory between batches */
     int status;
-  } * parts; /* (devices) */
+  } * parts; /* one for each device */
 };
 
 struct mo_device_gradients {

@@ -2,9 +2,9 @@
  *
  * The gatherer takes a chunk for an idle caller when work waits, while the device is still busy
  * with the previous one, and builds its bodies. Submitters submit one block at a time, but a device
- * needs as long for one block as for a thousand. So the gatherer waits while a submitter announces
- * more blocks, and then a few milliseconds more until no new block arrives. It also cancels a
- * running chunk if all of its blocks were cancelled.
+ * takes as long for one block as for a thousand. The gatherer therefore waits while a submitter
+ * announces more blocks, and then until no new block has arrived for a few milliseconds. It also
+ * cancels a running chunk if all of its blocks were cancelled.
  *
  * Two callers call the module. While the last rollouts of a call finish, most of the device would
  * be idle, so it begins the rollouts of the other call, with rows that are laid out and copied by
@@ -14,7 +14,7 @@
  * When the module lacks memory for a chunk, the caller halves it, and grows chunks again later; the
  * second caller returns its chunk and takes no more. A caller also halves a chunk that the module
  * does not support, until only the unsupported blocks are left, so that the choice does not depend
- * on a block's neighbors. After a failure of the device its threads exit; everything without a
+ * on a block's neighbors. After a failure of the device, its threads exit, and everything without a
  * result is requeued. */
 #include "compute/devices.h"
 #include "compute/rates.h"
@@ -32,7 +32,7 @@ enum {
   LINGER_MAX_MS = 50,  /* upper limit, even if blocks keep arriving */
   WATCH_MS = 20,
   BUILD_THREADS_MAX = 16,
-  GROW_AFTER = 8 /* chunks without lack of memory */
+  GROW_AFTER = 8 /* number of chunks without a lack of memory */
 };
 
 static const double load_s = 10; /* time constant of the load's average */
@@ -93,7 +93,7 @@ static void linger(struct mo_unit *unit)
         UINT64_C(1000000) * (mo_unit_is_running(unit) ? LINGER_BUSY_MS : LINGER_IDLE_MS);
     const bool are_submitting = atomic_load(&devices->submitting) > 0;
     if (were_submitting && !are_submitting)
-      return; /* that was the last */
+      return; /* this was the last device */
     were_submitting = are_submitting;
     if (waiting > before || are_submitting)
       since_ns = mo_clock_ns();
@@ -237,8 +237,8 @@ static void shrink(_Atomic uint32_t *limit, uint32_t tried, struct mo_unit *unit
   unit->good_chunks = 0;
 }
 
-/* If memory does not suffice for the second caller, the first gets all of it. Returns whether that
- * is the case; the blocks without a result are then requeued. */
+/* If there is not enough memory for the second caller, the first one gets all of it. Returns
+ * whether that is the case; the blocks without a result are then requeued. */
 static bool retires(struct mo_caller *caller, int status)
 {
   struct mo_unit *unit = caller->unit;
@@ -469,7 +469,7 @@ static struct mo_rate work_of(const struct mo_chunk *chunk)
     springs += task->batch->robots[task->first + i].body->n_springs;
   for (uint32_t i = 0; is_plain && i < chunk->n_active; i++) {
     const struct mo_chunk_item *item = &chunk->items[i];
-    if (item->status != MO_OK) /* such as those that the workers will compute */
+    if (item->status != MO_OK) /* for example a block that the workers will compute */
       continue;
     work.rollouts += item->block->n_environments;
     springs +=

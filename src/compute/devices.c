@@ -152,7 +152,7 @@ static int open_units(struct mo_devices *devices, const struct mo_devices_config
                      "device %u does not exist; the module %s finds %u devices", (unsigned)index,
                      devices->module->name, (unsigned)found);
     status = open_unit(devices, unit,
-                       index); /* on MO_ERR_NO_MEMORY: other processes may use its memory */
+                       index); /* MO_ERR_NO_MEMORY: other processes may be using its memory */
     if (status == MO_OK)
       status = check_class(devices, unit);
     if (status == MO_OK) {

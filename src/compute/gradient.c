@@ -1,12 +1,13 @@
 /* gradient.c: the gradient of a batch, from blocks that the workers compute in any order.
  *
- * The calling thread submits blocks in order, and adds their results in order. In between is a
- * window of at most two blocks per worker, each with its own float32 gradient, so that a worker
- * never waits for the sum, and memory does not grow with the batch.
+ * The calling thread submits blocks in order, and adds their results in order. Between submission
+ * and addition, there is a window of at most two blocks per worker, each with its own float32
+ * gradient, so that a worker never waits for the sum, and memory does not grow with the batch.
  *
  * Sums are float64: 32 consecutive blocks are added to the sum of a shard, and the sums of the
- * shards to that of the batch. So a shard from a remote taker is one sum instead of 32 gradients;
- * it is kept until the shards before it are added. The bits depend only on the batch. */
+ * shards are added to that of the batch. A shard from a remote taker is therefore one sum instead
+ * of 32 gradients; it is kept until the shards before it are added. The bits depend only on the
+ * batch. */
 #include "compute/device_gradient.h"
 #include "compute/shards.h"
 
@@ -83,7 +84,7 @@ void mo_gradient_state_free(struct mo_gradient_state *state)
   free(state);
 }
 
-/* Prepares a pack of the batch's controller; reuses the old one if it fits. */
+/* Prepares a pack of the batch's controller; reuses the old pack if it fits. */
 static int prepare_pack(struct mo_gradient_state *state, const struct mo_controller *controller)
 {
   int status = MO_ERR_UNSUPPORTED;
@@ -177,9 +178,9 @@ static int submit(struct call *call)
   return status;
 }
 
-/* Adds all parameters but the first and the last, which the caller adds in checked code, so that
- * sanitizers still catch arrays that are too short or still in use: these loops would take half of
- * the time of the thread sanitizer's tests of gradients. */
+/* Adds all parameters but the first and the last, which the caller adds in code that sanitizers
+ * check, so that they still catch arrays that are too short or still in use. With sanitizers, these
+ * loops would take half of the time of the gradient tests under the thread sanitizer. */
 __attribute__((no_sanitize("address", "thread", "undefined"))) static void
 add_inner(double *sum, const float *part, size_t n)
 {
@@ -201,7 +202,7 @@ static int add_block(struct call *call, const struct slot *slot)
   const struct mo_gradient_task *task = &slot->task;
   const size_t n = call->batch->controller->n_parameters;
   if (slot->first == 0) {
-    free(call->sum); /* of a shard that a taker finished first */
+    free(call->sum); /* the sum of a shard that a taker finished first */
     call->sum = mo_shard_result_create(n);
   }
   struct mo_shard_result *sum = call->sum;
@@ -291,7 +292,7 @@ static int compute_on_cpu(struct mo_gradient_state *state, struct mo_gradient_ba
     add_shards(&call);
   }
   mo_offer_stop(&call.offer);
-  while (call.n_submitted != call.n_gathered) /* only wait */
+  while (call.n_submitted != call.n_gathered) /* submit nothing more, only wait */
     gather(&call);
   mo_offer_close(&call.offer);
   free(call.sum);

@@ -31,7 +31,7 @@ static struct taken *private_of(struct mo_taken *taken)
 
 struct room {
   const struct mo_block *like;
-  double steps; /* left */
+  double steps; /* number of steps left */
 };
 
 static bool suits(const struct mo_block *block, void *context)
@@ -255,10 +255,10 @@ static void end_block(struct mo_block *block, enum mo_back_end back_end,
     if (block->measuring != NULL)
       memcpy(block->measuring->values[i], result->measures[row + i], sizeof(*result->measures));
   }
-  block->done(block, block->context); /* the block may have been freed now */
+  block->done(block, block->context); /* the block may have been freed by now */
 }
 
-/* Returns NULL if there is no result, or no memory for it. */
+/* Returns NULL if there is no result, or if out of memory. */
 static struct mo_shard_result *copy_of(const struct mo_gradient_batch *part,
                                        const struct mo_remote_result *result)
 {

@@ -8,7 +8,8 @@
 #include "base/clock.h"
 
 #define RETURNS_MAX        3
-#define RETURNS_ABSENT_MAX 32  /* for a shard that only takers, which come and go, compute */
+#define RETURNS_ABSENT_MAX 32  /* for a shard that only takers compute, which connect and
+                                  disconnect */
 #define WORTH_S            0.2 /* seconds on the workers below which a batch is not offered */
 #define WAIT_US            50000
 
@@ -29,8 +30,8 @@ static double units_of(const struct mo_gradient_batch *batch)
 
 /* ---- opening and closing ---- */
 
-/* Under the mutex. Returns whether takers should see the shards: they need the genotypes, and a
- * small batch is finished here before they would have its weights. */
+/* Under the mutex. Returns whether takers should see the shards: takers need the genotypes, and a
+ * small batch would be finished here before they have its weights. */
 static bool is_worth_listing(const struct mo_offer *offer)
 {
   const struct mo_compute_core *core = core_of(offer);

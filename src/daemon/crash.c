@@ -1,4 +1,4 @@
-/* crash.c: see crash.h. Only async-signal-safe calls in the handler. */
+/* crash.c: see crash.h. The handler makes only async-signal-safe calls. */
 #include "crash.h"
 
 #include <errno.h>
@@ -52,7 +52,7 @@ static size_t read_boot(char line[BOOT_BYTES])
   return (size_t)snprintf(line, BOOT_BYTES, "boot %s\n", found ? id : "unknown");
 }
 
-/* Reads the marker of the last process. *noted: the marker has the crashed job. *killed_us: the
+/* Reads the marker of the last process. *noted: the marker names the crashed job. *killed_us: the
  * start of the last process, if it was killed in this boot; else 0. */
 static void look(const char *path, const char *boot, size_t size, bool *noted, int64_t *killed_us)
 {
@@ -85,7 +85,7 @@ int crash_open(const char *state_dir, char **last, int64_t *killed_us, struct mo
   if (noted && rename(current, old) != 0)
     result = mo_fail(message, MO_ERR_IO, "%s: %s", current, strerror(errno));
   if (result == MO_OK) {
-    /* Overwrite the old content: a full disk has no room for another block. */
+    /* Overwrite the old content, because a full disk has no room for another block. */
     fd = open(current, O_WRONLY | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
     if (fd < 0 || pwrite(fd, boot, boot_size, 0) != (ssize_t)boot_size ||
         ftruncate(fd, (off_t)boot_size) != 0)

@@ -20,8 +20,8 @@
 
 #define PEM_MAX 65536 /* bytes of a file */
 
-/* Each session holds one connection for its orders and one for leases. A third one may have just
- * been lost. */
+/* Each session has one connection for its orders and one for leases; a third one may just have been
+ * lost. */
 #define CONNECTIONS_MAX (3 * 4096)
 #define BODY_BYTES      (UINT64_C(8) << 20) /* for an exchange */
 #define BODY_MEMORY     (UINT64_C(256) << 20)
@@ -184,7 +184,7 @@ void fleet_end_others(struct fleet *fleet, const struct mo_token *tokens, size_t
   struct mo_session_status *sessions;
   size_t n_sessions;
   if (mo_fleet_sessions(fleet->fleet, &sessions, &n_sessions) != MO_OK)
-    return; /* without valid tokens they are refused, and soon count as silent */
+    return; /* without valid tokens, their requests are refused, and they soon count as silent */
   for (size_t i = 0; i < n_sessions; i++) {
     bool is_known = sessions[i].offer.user[0] == '\0' && n == 0;
     for (size_t k = 0; k < n && !is_known; k++)
@@ -275,7 +275,7 @@ int fleet_serve(struct fleet *fleet, const struct settings *settings, struct soc
     sockets_hand_over(sockets);
     tokens_free(&tokens);
   } else if (error == MO_ERR_IO) {
-    error = MO_ERR_INVALID; /* not an error of a socket */
+    error = MO_ERR_INVALID; /* MO_ERR_IO would mean an error of a socket */
   }
   fleet_certificate_free(&pair);
   if (error == MO_OK)

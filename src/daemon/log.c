@@ -26,7 +26,7 @@
 #include "base/thread.h"
 
 #define RING_BYTES        ((size_t)1 << 20)
-#define LAST_WORDS_ROUNDS 100 /* of one millisecond each */
+#define LAST_WORDS_ROUNDS 100 /* number of rounds, of one millisecond each */
 
 static const char *const level_names[] = {"error", "warning", "info", "debug"};
 static const int level_priorities[] = {3, 4, 6, 7};
@@ -49,8 +49,8 @@ static bool is_bare(const char *text)
   return true;
 }
 
-/* JSON string escapes serve all formats: a quoted value holds no raw control character, so it
- * cannot break the line, or the terminal that shows it. */
+/* All formats use the escapes of JSON strings: a quoted value contains no raw control character, so
+ * it can break neither the line nor the terminal that shows it. */
 static void put_value(struct mo_text *line, enum log_format format, const struct log_field *field)
 {
   const char *text = field->value.text;
@@ -112,7 +112,7 @@ size_t log_format_line(char *text, size_t capacity, enum log_format format, bool
     if (line.failed) /* it does not fit: the line ends before it */
       line.size = before;
   }
-  /* Messages come from the program, but a newline in one must not forge a second line. */
+  /* Messages come from the program, but a newline in a message must not produce a second line. */
   for (size_t i = 0; i < line.size; i++)
     if (text[i] == '\n')
       text[i] = ' ';
@@ -262,8 +262,8 @@ static void put_line(const char *line, size_t n)
   }
   MO_GUARD(&writer.lock);
   report_dropped();
-  /* Drop lines until their number can be reported, so that the notice is at the place where they
-   * are missing. */
+  /* Drop lines until their number can be reported, so that the notice appears where they are
+   * missing. */
   if (writer.unreported > 0 || !push(line, n))
     drop(line, n);
 }

@@ -21,8 +21,10 @@
 
 #define STOP_LIMIT_S                                                                               \
   9 /* from the first SIGTERM, with a drain of at most 5 s, to the end of the process */
-#define HEARTBEAT_LIMIT_US 15000000 /* a part without a round for this long is stuck */
-#define LOG_FLUSH_MS       2000     /* wait for the last lines if standard error is not read */
+#define HEARTBEAT_LIMIT_US 15000000 /* a part that completes no round for this long counts as
+                                       stuck */
+#define LOG_FLUSH_MS       2000     /* time to wait for the last lines if nobody reads standard
+                                       error */
 #define ROUND_S            1
 #define WATCHED_SIGNALS    5
 
@@ -64,7 +66,7 @@ static void load(struct process *process, struct settings *settings,
 }
 
 /* Logs that a setting has a new value, and applies it if the setting can be reloaded. Other
- * settings keep their old value for the next comparison. */
+ * settings keep their old values, for the next comparison. */
 static void apply(struct settings *current, const struct settings *read,
                   const struct setting *setting)
 {
@@ -186,7 +188,7 @@ static int run(struct process *process, const sigset_t *set)
   for (;;) {
     int number = wait_signal(set, round_us);
     if (atomic_load(&broken)) {
-      /* Remaining work could not be written. The state recovers at the next start. */
+      /* The remaining work could not be written. The next start recovers the state. */
       sd_notifyf(0, "STATUS=The state can no longer be written\nERRNO=%d", EIO);
       return EXIT_STATE;
     }
@@ -206,7 +208,7 @@ static int run(struct process *process, const sigset_t *set)
   }
 }
 
-/* Writes one line per address to standard output and to the port file, which gets its name only
+/* Writes one line per address to standard output and to the port file, which is given its name only
  * when it is complete. */
 static int announce(const struct process *process, struct mo_message *message)
 {

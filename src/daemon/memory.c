@@ -11,7 +11,7 @@
 #include "daemon/service.h"
 
 #define MARGIN   (UINT64_C(64) << 20)
-#define LEAST    (UINT64_C(128) << 20) /* the service itself takes half of it */
+#define LEAST    (UINT64_C(128) << 20) /* the service itself takes half of this */
 #define RESERVED (UINT64_C(1) << 30)   /* address space of stacks and heaps that is never used */
 
 static uint64_t lesser(uint64_t a, uint64_t b)

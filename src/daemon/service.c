@@ -34,7 +34,7 @@
 #define EVENT_FIELDS_MAX 16
 #define OPEN_LIMIT_US    (UINT64_C(3600) * 1000000)
 #define STORE_READERS                                                                              \
-  8 /* more than the number of reading threads: the API, the HTTP clock, the scheduler */
+  8 /* more than the threads that read: the API, the HTTP clock, the scheduler */
 #define JOBS_STOP_MS  3000
 #define HTTP_GRACE_MS 1000
 
@@ -125,7 +125,7 @@ static const char *keep(char **room, struct mo_json_slice text)
 static void log_event(enum log_level level, const struct mo_event *event)
 {
   struct log_field fields[EVENT_FIELDS_MAX];
-  char kept[sizeof(event->data)], *room = kept; /* large enough: each text had quotes */
+  char kept[sizeof(event->data)], *room = kept; /* large enough, because each text had quotes */
   size_t n = 0;
   fields[n++] = LOG_INT("event", event->sequence);
   if (event->job != 0)
@@ -237,7 +237,8 @@ static int store_controller(struct service *service, const char *path, bool is_d
   struct stat info = {.st_size = 0};
   uint8_t *bytes = NULL;
   int status = mo_controller_read(path, &controller, message);
-  /* Store the file's own bytes, because the hash of a controller is the hash of its file. */
+  /* Store the bytes of the file itself, because the hash of a controller is the hash of its
+   * file. */
   FILE *file = status == MO_OK ? fopen(path, "re") : NULL;
   if (status == MO_OK && (file == NULL || fstat(fileno(file), &info) != 0 ||
                           (bytes = malloc((size_t)info.st_size)) == NULL ||
@@ -260,9 +261,9 @@ static int store_controller(struct service *service, const char *path, bool is_d
   return status;
 }
 
-/* Stores the controllers of the first start: the default one as "default" and under the name of its
- * file, which remains when "default" is replaced; and, unless the settings name a different one,
- * the other installed controllers. */
+/* On the first start, stores the installed controllers: the default one as "default" and under the
+ * name of its file, which remains when "default" is replaced; and, unless the settings name a
+ * different one, the other installed controllers. */
 static int store_default_controller(struct service *service, const struct settings *settings,
                                     struct mo_message *message)
 {

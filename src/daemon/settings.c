@@ -347,8 +347,8 @@ void setting_free(void *values, const struct setting *setting)
 int settings_set(struct settings *settings, const struct setting *setting, const char *text,
                  enum setting_source source, bool append, struct mo_message *message)
 {
-  /* An empty text resets other settings to their default. Here it means an unset variable of a
-   * script. */
+  /* An empty text resets other settings to their default. Here it probably comes from an unset
+   * variable in a script. */
   if (*text == 0 && source != SOURCE_DEFAULT &&
       setting->offset == offsetof(struct settings, state_dir))
     return mo_fail(message, MO_ERR_INVALID, "the path is empty");

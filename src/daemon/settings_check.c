@@ -203,7 +203,7 @@ static void check_controller(const char *path, struct settings_faults *faults)
                    message.text[0] != 0 ? message.text : mo_error_text(status));
 }
 
-/* Checks the installed controllers, which the first start uses if the settings do not have one.
+/* Checks the installed controllers, which the first start uses if the settings do not name one.
  * Later starts do not need them. */
 static void check_shipped_controllers(const char *state_dir, struct settings_faults *faults)
 {

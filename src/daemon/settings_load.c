@@ -335,7 +335,7 @@ char *credential_path(const char *folder)
 
 void settings_complete(struct settings *settings, const char *const *environment)
 {
-  /* systemd passes a list separated by colons; morphod has only one folder. */
+  /* systemd passes a list separated by colons; morphod uses only one folder. */
   const char *state = variable(environment, "STATE_DIRECTORY");
   const char *xdg = variable(environment, "XDG_STATE_HOME");
   const char *home = variable(environment, "HOME");

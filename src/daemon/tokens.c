@@ -11,7 +11,7 @@
 #include "http/guard.h"
 
 #define TOKEN_FILE_MAX 65536
-#define WORDS_MAX      4 /* one more than a line may have */
+#define WORDS_MAX      4 /* one more than a line may contain */
 
 void tokens_free(struct tokens *tokens)
 {

@@ -123,7 +123,8 @@ static int read_environment(struct options *options)
 
 static int read_flags(struct options *options, int argc, const char *const *argv)
 {
-  const struct setting *list = NULL; /* the last list on the command line: its flag adds again */
+  const struct setting *list = NULL; /* the last list on the command line, to which its flag adds
+                                        again */
   for (int i = 2; i < argc; i++) {
     const char *flag = argv[i], *equals = strchr(flag, '=');
     const size_t length = equals != NULL ? (size_t)(equals - flag) : strlen(flag);
@@ -213,8 +214,8 @@ static bool ask(const char *const *command, char *line, size_t capacity)
 }
 
 /* Returns the end of the Slurm job that this process belongs to, in seconds since 1970, or 0 if it
- * is unknown or there is no limit. Newer versions of Slurm set it in the environment; squeue
- * reports it for older ones. */
+ * is unknown or there is no limit. Newer versions of Slurm set it in the environment; for older
+ * versions, squeue reports it. */
 static int64_t job_end_s(void)
 {
   const char *end = getenv("SLURM_JOB_END_TIME"), *job = getenv("SLURM_JOB_ID");

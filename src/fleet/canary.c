@@ -1,13 +1,13 @@
-/* canary.c: frozen rollouts and frozen gradients. Every machine of a class must compute the same
- * bits for them. A machine that computes different bits is refused before it computes anything that
- * counts.
+/* canary.c: rollouts and gradients that never change. Every machine of a class must compute the
+ * same bits for them. A machine that computes different bits is refused before it computes any
+ * results.
  *
  * Half of the bodies use the usual physics. The others fall from a height onto slippery ground, so
  * that masses leave their terrain cells: the reference, not the kernels, computes these moves. Some
  * hold the controller's outputs through control periods, and some use the integrator `split`. The
  * robots of the gradients stand on the ground, so that few steps have contacts. They fill one CPU
  * block and part of another. Environments have an objective of each kind, and some a terrain
- * profile or damage. All measures of the rollouts count as well. */
+ * profile or damage. The hash includes all measures of the rollouts. */
 #include <float.h>
 #include <math.h>
 #include <stdlib.h>
@@ -55,8 +55,8 @@ static struct mo_physics physics_of(uint32_t body)
   return physics;
 }
 
-/* Gives an environment an objective that needs a tally: in each body, a lane has each of them, and
- * two have a sum. */
+/* Gives an environment an objective that needs a tally. In each body, each of these objectives has
+ * one lane, and sums have two. */
 static void set_objective(uint32_t lane, struct mo_task *task)
 {
   if (lane == 2)
@@ -76,7 +76,7 @@ static void set_objective(uint32_t lane, struct mo_task *task)
     task->objective = lane == 4 ? MO_OBJECTIVE_EFFICIENT : MO_OBJECTIVE_JUMP;
 }
 
-/* Gives an environment a task: in each body, the last lanes have one of each kind of guide. Every
+/* Gives an environment a task. In each body, the last lanes have each kind of guide once. Every
  * fourth lane has a profile, every fourth has damage, every fifth has factors, and every third has
  * a drop. */
 static void set_task(uint32_t lane, struct mo_environment *environment)
@@ -227,7 +227,7 @@ static void read_bits(struct canary *canary, struct mo_sha256 *hash)
       rows[b][e].loss = canary->blocks[b].outcomes[e].loss;
       rows[b][e].diverged = (uint64_t)canary->blocks[b].outcomes[e].diverged_step;
       for (unsigned m = 0; m < MO_MEASURES; m++)
-        measures[m] = isnan(measures[m]) ? -DBL_MAX : measures[m]; /* a NaN has many bits */
+        measures[m] = isnan(measures[m]) ? -DBL_MAX : measures[m]; /* NaN has many bit patterns */
     }
   mo_sha256_of(rows, sizeof(rows), &parts[0]);
   mo_sha256_of(canary->measures, sizeof(canary->measures), &parts[1]);

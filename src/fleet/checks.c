@@ -9,10 +9,11 @@
 #include "fleet/content.h"
 #include "store/scores.h"
 
-#define NEW_LEASES     500 /* results of a session; after these it is audited less often */
+#define NEW_LEASES     500 /* number of results after which a session is audited less often */
 #define AUDITS_NEW     10  /* one lease in this many is audited */
 #define AUDITS_TRUSTED 200
-#define CHOOSY_NS      (2 * MO_S_NS) /* an audit waits this long for a different name and host */
+#define CHOOSY_NS      (2 * MO_S_NS) /* time that an audit waits for a session with a different name
+                                        and host */
 
 /* ---- votes ---- */
 
@@ -174,7 +175,7 @@ static void count(struct mo_fleet *fleet, uint64_t id, bool has_failed)
   session->audits_failed += has_failed;
 }
 
-/* m: a measure that differs; MO_MEASURES: none. */
+/* m: a measure that differs; MO_MEASURES: no measure differs. */
 static void describe(struct mo_text *text, const struct mo_vote *vote, uint32_t row, unsigned m)
 {
   mo_event_session(text, vote->name, vote->host, "");

@@ -1,6 +1,6 @@
 /* content.c: see content.h. Blocks of one job point to the same environments, so environments are
- * distinguished by their addresses: comparing at least 528 bytes for each row would cost more than
- * sending some environments twice. */
+ * distinguished by their addresses. Comparing their contents, at least 528 bytes for each row,
+ * would cost more than sending some environments twice. */
 #include "fleet/content.h"
 
 #include <stdlib.h>

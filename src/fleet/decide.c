@@ -2,7 +2,7 @@
  * because a lease that is being decided is in no list, and no other code frees it. */
 #include "fleet/decide.h"
 
-#define RETRY_NS (2 * MO_S_NS) /* after an error */
+#define RETRY_NS (2 * MO_S_NS) /* wait after an error */
 
 static void *compute(void *context)
 {
@@ -44,7 +44,7 @@ static void end(struct mo_fleet *fleet, int error, uint64_t now_ns, struct mo_af
   }
   decision->retry_ns = now_ns + RETRY_NS;
   mo_lease_list(fleet, lease, now_ns, after);
-  lease->listed_ns = listed_ns; /* the lease stays the oldest, so in the end it is given up */
+  lease->listed_ns = listed_ns; /* the lease keeps its age, so it is eventually given up */
 }
 
 void mo_decide_tick(struct mo_fleet *fleet, uint64_t now_ns, struct mo_after *after)

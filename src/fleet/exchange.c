@@ -93,7 +93,7 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, si
     session = name_origin(fleet, session, &results, &error);
   if (error != MO_OK) {
     session = mo_session_find(fleet, id);
-    if (session != NULL) /* the worker may end now, and its bodies are not to blame */
+    if (session != NULL) /* the worker may end now, and its bodies must not be blamed */
       mo_session_release(fleet, session, false, now_ns, &after);
     mo_fail(message, error, "the service could not store the origin of the results; try again");
   } else if (session == NULL) {

@@ -7,8 +7,8 @@
 #include "fleet/decide.h"
 #include "fleet/give.h"
 
-#define BLOCK_STEPS 16000.0 /* until some blocks were seen */
-#define REFUSED_NS  MO_S_NS /* at most one event about refusals in this time */
+#define BLOCK_STEPS 16000.0 /* assumed until some blocks have been seen */
+#define REFUSED_NS  MO_S_NS /* shortest time between two events about refusals */
 
 /* ---- life ---- */
 

@@ -8,7 +8,7 @@
 #define FIRST_DEVICE_STEPS 2000000 /* per device */
 #define GROWTH             8       /* factor by which a lease may exceed the previous one */
 #define LEAST_S            0.05    /* duration of a lease near the end of a queue */
-/* How long a late lease waits for a session of its size. */
+/* Time that a late lease waits for a session of suitable size. */
 #define PATIENCE_NS      (10 * MO_S_NS)
 #define SCANNED          64
 #define READY_S          4.0
@@ -18,7 +18,7 @@
 /* ---- sizes ---- */
 
 /* The rollout steps of a session's next lease: `most`, or fewer if less work is waiting. `share` is
- * this session's share of that work. */
+ * this session's share of the waiting work. */
 struct size {
   uint64_t most, least;
   double share;
@@ -82,8 +82,8 @@ static bool fits(const struct mo_fleet *fleet, const struct mo_lease *lease,
 }
 
 /* A lease with suspects is not repeated: its blocks are put back first, and then leased among fewer
- * bodies. It often takes a long time to notice that a session is lost, so otherwise some session
- * would always hold the lease. */
+ * bodies. It often takes a long time to detect that a session is lost, so if such leases were
+ * repeated, some session would always hold the lease. */
 static bool may_repeat(const struct mo_fleet *fleet, const struct mo_lease *lease,
                        const struct mo_session *session)
 {
@@ -144,7 +144,7 @@ static bool trim(const struct mo_fleet_source *source, struct mo_taken *taken, u
   return true;
 }
 
-/* Copies into a lease what fits, and puts the rest back. */
+/* Copies the blocks that fit into a lease, and puts the rest back. */
 static int copy(struct mo_fleet *fleet, struct mo_taken *taken, struct mo_wire_lease *content)
 {
   const struct mo_fleet_source *source = &fleet->config.source;
@@ -221,7 +221,7 @@ static struct mo_session *give_new(struct mo_fleet *fleet, struct mo_session *se
   const uint64_t id = session->id;
   struct mo_weights *weights = NULL;
   session->n_taking[back_end]++;
-  fleet->classes[back_end].may_have_work = false; /* work that arrives from now on sets it again */
+  fleet->classes[back_end].may_have_work = false; /* set again when more work arrives */
   pthread_mutex_unlock(&fleet->mutex);
   const uint64_t steps = spread(&fleet->config.source, back_end, &size);
   struct mo_lease *lease = take_lease(fleet, back_end, steps, &weights);
@@ -257,7 +257,7 @@ struct mo_session *mo_give(struct mo_fleet *fleet, struct mo_session *session,
     struct mo_lease *lease = find_listed(fleet, session, back_end, now_ns);
     uint64_t number = 0;
     if (lease == NULL && is_second(session, back_end) && !TAILQ_EMPTY(&class->idle))
-      break; /* a session that holds nothing comes first */
+      break; /* a session that holds nothing has precedence */
     if (lease == NULL) {
       session = give_new(fleet, session, back_end, now_ns, after, &number);
       if (session == NULL)

@@ -3,9 +3,11 @@
 
 #include <stdlib.h>
 
-#define LATE                5 /* times the expected time: then another session gets it */
+#define LATE                5 /* multiple of the expected time after which another session gets the
+                                 lease */
 #define LATE_NS             (2 * MO_S_NS)
-#define HUNG                20 /* times the expected time: then the session loses the lease */
+#define HUNG                20 /* multiple of the expected time after which the session loses the
+                                  lease */
 #define HUNG_NS             (60 * MO_S_NS)
 #define UNKNOWN_STEPS_PER_S 1e5  /* per thread, for a session that was not measured */
 #define GRADIENT_COST       27   /* cost of a gradient step, in rollout steps */
@@ -204,8 +206,8 @@ static void free_lease(struct mo_fleet *fleet, struct mo_lease *lease)
   free(lease);
 }
 
-/* Wakes a session that may take a lease with a suspect. Other sessions would put it back and wake
- * the next one; they look for work anyway when they hold nothing. */
+/* Wakes a session that may take a lease with a suspect. Other sessions would only put it back and
+ * wake the next one. They look for work anyway once they hold nothing. */
 static void wake_free(struct mo_fleet *fleet, enum mo_back_end back_end, struct mo_after *after)
 {
   struct mo_session *session;

@@ -3,9 +3,10 @@
 
 #include "fleet/checks.h"
 
-#define MEMORY       0.9 /* share of the sums of a pace that each message keeps: about ten leases */
+#define MEMORY       0.9 /* fraction of the sums of a pace that remains after each message: about
+                            ten leases count */
 #define FAILURES_MAX 5   /* failed leases in a row, after which a session gets no more */
-#define REFUSALS_MAX 10  /* refused leases in a row; after these, the rest stops growing */
+#define REFUSALS_MAX 10  /* refused leases in a row after which the rest no longer gets longer */
 
 /* Adds up the results of one message for the pace of a session on one back end. */
 struct part {
@@ -113,7 +114,7 @@ static void take_refusal(struct mo_session *session, uint64_t now_ns)
   session->n_refusals += session->n_refusals < REFUSALS_MAX;
 }
 
-/* Measures the pace of a session by this process's clock: since its previous result, or since it
+/* Measures the pace of a session by this process's clock, from its previous result or from when it
  * got the lease. */
 static void keep_pace(struct mo_pace *pace, const struct part *part, uint64_t now_ns)
 {

@@ -51,7 +51,7 @@ void mo_session_insert(struct mo_fleet *fleet, struct mo_session *session, struc
 
 /* ---- ends ---- */
 
-/* An active session changes its state and gets no more leases. */
+/* Changes the state of an active session, which then gets no more leases. */
 static void deactivate(struct mo_fleet *fleet, struct mo_session *session,
                        enum mo_session_state state, const char *why, struct mo_after *after)
 {
@@ -73,7 +73,7 @@ void mo_session_drain(struct mo_fleet *fleet, struct mo_session *session, const 
   mo_after_wake(after, session->id);
 }
 
-/* The oldest lease comes first here. mo_after_run puts it back last, in front of the others. */
+/* The oldest lease comes first here, so mo_after_run puts it back last, in front of the others. */
 void mo_session_release(struct mo_fleet *fleet, struct mo_session *session, bool is_lost,
                         uint64_t now_ns, struct mo_after *after)
 {

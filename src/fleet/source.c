@@ -1,7 +1,7 @@
 /* source.c: see source.h. */
 #include "fleet/source.h"
 
-/* Marked like an urgent block: remote takers do not get it. */
+/* The block is marked as urgent, so that remote takers do not get it. */
 static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
                const struct mo_lattice *lattice, struct mo_compute_controller *controller,
                const volatile int *cancel, double *losses, uint32_t *diverged_steps,
@@ -23,7 +23,7 @@ static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
     block.environments[k] = &lease->environments[from->environments[k]];
   int error = mo_compute_run(compute, &block, 1);
   if (error == MO_OK && block.computed_on != lease->back_end)
-    error = MO_ERR_UNSUPPORTED; /* the block has a different class */
+    error = MO_ERR_UNSUPPORTED; /* the block was computed by a different class */
   for (uint32_t k = 0; k < from->n_environments && error == MO_OK; k++) {
     losses[k] = block.outcomes[k].loss;
     diverged_steps[k] = (uint32_t)block.outcomes[k].diverged_step;

@@ -1,5 +1,5 @@
-/* suspects.c: see suspects.h. A table of fixed size. In a full set, the entry with the fewest
- * losses is replaced, so that bodies that end sessions repeatedly stay. */
+/* suspects.c: see suspects.h. A table of fixed size. In a full set, the entry with the fewest lost
+ * sessions is replaced, so that bodies that end sessions repeatedly remain. */
 #include "fleet/suspects.h"
 
 /* Never 0, which marks an empty entry. */

@@ -3,7 +3,7 @@
 #include "fleet/decide.h"
 #include "fleet/give.h"
 
-#define STALE_NS    (30 * MO_S_NS)  /* for an audit that no session computed */
+#define STALE_NS    (30 * MO_S_NS)  /* an audit that no session has computed by then is dropped */
 #define DISPUTED_NS (600 * MO_S_NS) /* the same for a disputed audit */
 #define WAKES       4               /* sessions woken per tick and back end; each wakes others */
 

@@ -1,7 +1,7 @@
-/* weights.c: see weights.h. A controller's identity is valid only while blocks of it are taken.
- * With the last parcel it is forgotten, because another controller may get the same identity. After
- * that, weights are found by comparing them, which takes a fiftieth of the time needed to make the
- * file. */
+/* weights.c: see weights.h. A controller's identity is valid only while blocks of it are taken. It
+ * is forgotten with the last parcel, because another controller may then get the same identity.
+ * After that, weights are found by comparing them, which takes a fiftieth of the time needed to
+ * make the file. */
 #include "fleet/weights.h"
 
 #include <stdlib.h>

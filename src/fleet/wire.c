@@ -1,5 +1,5 @@
 /* wire.c: encodes and decodes leases. Four leases need at most 100 MB, not counting their grids,
- * which are as large as in the message. */
+ * which are as large in memory as in the message. */
 #include "fleet/wire.h"
 
 #include "fleet/wire_codec.h"
@@ -161,7 +161,7 @@ int mo_wire_put_leases(const struct mo_wire_leases *leases, struct mo_workspace 
   return MO_OK;
 }
 
-/* Robots of a gradient stay where they were drawn; other bodies are placed. MO_ERR_FORMAT,
+/* The robots of a gradient are as they were drawn; other bodies are placed. MO_ERR_FORMAT,
  * MO_ERR_NO_MEMORY. */
 static int check_genotype(const uint64_t *genotype, struct mo_workspace workspace, bool is_placed,
                           struct mo_message *message, uint32_t i, uint32_t b)

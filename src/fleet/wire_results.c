@@ -19,7 +19,7 @@ _Static_assert(sizeof(struct result) == 40 && sizeof(struct mo_gradient_counts) 
 #define DONE_WITH_MEASURES 5u
 #define ROW_BYTES          (sizeof(double) + sizeof(uint32_t))
 
-/* Before the measures of a result. */
+/* Precedes the measures of a result. */
 struct measures {
   uint32_t n, zero;
 };

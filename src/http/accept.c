@@ -1,9 +1,9 @@
 /* accept.c: the acceptor.
  *
- * libmicrohttpd never listens itself; it receives connections from here. So this file enforces the
- * limit on connections and replies to clients above it. (The library's own limit leaves clients in
- * the backlog, and hangs when connections are added in this way.) It also checks the peers of the
- * unix socket. */
+ * libmicrohttpd never listens itself; it receives connections from here. This file therefore
+ * enforces the limit on connections, and replies to clients beyond it. (The library's own limit
+ * leaves clients in the backlog, and hangs when connections are added in this way.) It also checks
+ * the peers of the unix socket. */
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -22,7 +22,7 @@
 #include "base/thread.h"
 #include "http/server.h"
 
-#define UNACKED_MS  30000 /* a peer that acknowledges nothing for this long has left */
+#define UNACKED_MS  30000 /* a peer that acknowledges nothing for this long counts as gone */
 #define KEPT_MAX    16
 #define LEAVING_MAX 32
 
@@ -91,9 +91,9 @@ static bool read_end(const struct sockaddr_storage *name, __be32 address[4], __b
 
 /* Finds the user at the other end of a connection from a loopback address: the kernel reports the
  * user of any socket by its addresses and ports (NETLINK_SOCK_DIAG). One exact query selects the
- * peer's end of the connection; sendto itself produces the answer. So limits count per user on
- * loopback as well, and one user cannot take all places. Returns false if the user cannot be
- * found. */
+ * peer's end of the connection; the kernel prepares the answer within sendto. Limits therefore
+ * count per user on loopback as well, and one user cannot take all places. Returns false if the
+ * user cannot be found. */
 static bool find_uid(struct mo_http *http, int fd, const struct sockaddr_storage *peer, uid_t *uid)
 {
   struct sockaddr_storage own = {0};

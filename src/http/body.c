@@ -3,8 +3,8 @@
  * A body that is still being received holds memory for a client that may have stopped sending. When
  * another body needs memory and none is free, the body with the longest time without progress is
  * dropped, if that time is at least MO_STALL_US: its memory is freed, its client gets 503 and its
- * connection is closed. So complete requests never wait for incomplete ones. The thread that needs
- * memory drops the body of another thread's request. Therefore all bodies being received are in a
+ * connection is closed. Complete requests therefore never wait for incomplete ones. The thread that
+ * needs memory drops the body of another thread's request, so all bodies being received are in a
  * list, and are accessed only with its lock held.
  *
  * An eighth of the memory is reserved for small bodies: large bodies and large replies cannot use

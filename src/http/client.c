@@ -1,5 +1,5 @@
 /* client.c: limits per client: requests in flight, body memory, rate of submissions. A client is
- * kept while it has requests, and a few seconds more for its rate. */
+ * kept while it has requests, and for a few more seconds because of its rate. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -13,7 +13,7 @@ struct mo_client {
   unsigned char key[16];
   uint32_t in_flight, parked;
   uint64_t body_bytes;  /* held by its requests' bodies, and by large replies */
-  double allowance;     /* submissions allowed right now */
+  double allowance;     /* submissions allowed at that time */
   int64_t allowance_us; /* when `allowance` was last updated; 0: it is full */
   int64_t left_us;
 };

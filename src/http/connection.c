@@ -141,7 +141,7 @@ int mo_connections_init(struct mo_http *http, struct mo_message *message)
   if (getrlimit(RLIMIT_NOFILE, &limit) != 0)
     limit.rlim_cur = 1024;
   if (limit.rlim_cur <
-      wanted) { /* accept fewer connections, because everything else also needs descriptors */
+      wanted) { /* accept fewer connections, because everything else needs descriptors, too */
     rlim_t others = limit.rlim_cur / 2 < other_files ? limit.rlim_cur / 2 : other_files;
     const rlim_t most = limit.rlim_cur > others ? limit.rlim_cur - others : 1;
     if (most < http->config.max_connections)

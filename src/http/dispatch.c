@@ -27,9 +27,9 @@ static void *on_target(void *context, const char *target, struct MHD_Connection 
     return NULL;
   mo_request_end(connection, false);
   struct mo_request *request = mo_request_begin(connection, mhd, target);
-  /* The library would list the query parameters in the connection's memory, could run out of it,
-   * and would then not report the end of this request. No code here uses that list, so cut off the
-   * query: `target` is the library's own buffer, whose query it parses next. */
+  /* The library would store the query parameters in the connection's memory, which can run out; it
+   * would then not report the end of this request. No code here uses these parameters, so cut off
+   * the query: `target` is the library's own buffer, whose query it parses next. */
   char *query = strchr(target, '?');
   if (query != NULL)
     query[1] = '\0';
@@ -94,8 +94,8 @@ static bool admitted(struct mo_request *request)
   const struct mo_route *route = request->route;
   const bool is_open =
       (route != NULL && (route->flags & MO_ROUTE_OPEN)) || request->method == MO_OPTIONS;
-  /* Workers use the service's name in their cluster, so any Host is accepted. A page at a rebound
-   * name does not have their token, and a wrong token is rejected below. */
+  /* Workers use the service's name in their cluster, so any Host is accepted. A web page that uses
+   * DNS rebinding does not have their token, and a wrong token is rejected below. */
   const int known = http->config.token_if_any
                         ? mo_tokens_check(&http->tokens, framing->authorization, &request->caller)
                         : -1;
@@ -150,7 +150,7 @@ static bool permitted(struct mo_request *request)
   return false;
 }
 
-/* Decides everything that the complete header allows. A refusal is in request->reply. */
+/* Makes all decisions that depend only on the header. A refusal is in request->reply. */
 static void begin(struct mo_request *request, struct MHD_Connection *mhd, const char *method,
                   const char *version)
 {

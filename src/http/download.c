@@ -2,9 +2,9 @@
  *
  * A reply of hundreds of megabytes (all designs of a campaign) is never in memory as a whole. An
  * API thread makes a piece and libmicrohttpd sends it; then the connection is suspended until an
- * API thread has made the next piece. So no I/O thread waits for the store, and a slow reader holds
- * only one piece. A reply that fits into its first piece is an ordinary reply with a
- * Content-Length.
+ * API thread has made the next piece. No I/O thread therefore waits for the store, and a slow
+ * reader occupies memory for only one piece. A reply that fits into its first piece is an ordinary
+ * reply with a Content-Length.
  *
  * The thread that owns the request also owns the download: the I/O thread while the connection is
  * active, one API thread while it is suspended. */
@@ -26,7 +26,7 @@ struct mo_download {
   struct mo_packer *packer; /* of a compressed reply; else NULL */
   struct mo_text made;      /* the piece before it is compressed */
   struct mo_text piece;
-  size_t read; /* bytes of the piece that were sent */
+  size_t read; /* number of bytes of the piece that were sent */
   bool last;   /* the piece is the last one */
   bool failed; /* the rest cannot be produced: the reply breaks off, so that the client notices */
 };

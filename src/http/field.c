@@ -158,7 +158,7 @@ int mo_accept_choose(const char *field, const char *const *types, size_t n)
   for (size_t t = 0; t < n; t++) {
     const char *type = types[t], *at = field, *part;
     size_t major = strcspn(type, "/"), size;
-    int q = 0, specific = -1; /* from the most specific element that matches this type */
+    int q = 0, specific = -1; /* q: from the most specific element that matches this type */
     while (next_part(&at, ",", &part, &size)) {
       size_t name = trimmed(part, strcspn(part, ",;"));
       int rank =

@@ -164,7 +164,7 @@ bool mo_guard_host(const char *host, size_t n, bool local, const struct mo_names
   for (size_t i = 0; i < names->n; i++)
     if (strcmp(names->items[i], "*") == 0)
       return true;
-  /* DNS rebinding cannot fake a numeric address: the browser would already have to be at that
+  /* DNS rebinding cannot fake a numeric address: the page itself would have to come from that
    * address. */
   return (literal && !local) || mo_host_is_loopback(name) || is_named(name, port, names);
 }
@@ -292,7 +292,7 @@ int mo_tokens_check(struct mo_tokens *tokens, const char *authorization, struct 
     while (*given == ' ' || *given == '\t')
       given++;
   }
-  size_t size = strlen(given), found = 0; /* found: the place of the right one, starting at 1 */
+  size_t size = strlen(given), found = 0; /* found: number of the matching token, from 1 */
   while (size > 0 && (given[size - 1] == ' ' || given[size - 1] == '\t'))
     size--;
   pthread_rwlock_rdlock(&tokens->lock);

@@ -1,9 +1,9 @@
 /* last_reply.c: replies that bypass libmicrohttpd and end their connection.
  *
- * The library cannot reply in the middle of a body. It answers requests that it cannot parse
+ * The library cannot reply in the middle of a body. To requests that it cannot parse, it replies by
  * itself: in HTML, after some errors with two headers, and not at all when the connection's memory
- * is used up. So these replies are written directly to the socket. The socket is then shut down for
- * writing, which discards anything that the library still wants to send.
+ * is used up. In these cases, the reply is written directly to the socket. The socket is then shut
+ * down for writing, which discards anything that the library still wants to send.
  *
  * The library sends its own pages with MHD_queue_response. The definition in this file replaces
  * that function in the whole program, the library included. Our own replies reach the library's
@@ -80,7 +80,7 @@ MHD_queue_response(struct MHD_Connection *mhd, unsigned status, struct MHD_Respo
   info = MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_CONNECTION_FD);
   if (info != NULL)
     shutdown(info->connect_fd, SHUT_WR);
-  /* Let the library queue its page and end the connection: not all of its code survives a failure
-   * here. */
+  /* Let the library queue its page and end the connection, because not all of its code can handle a
+   * failure here. */
   return mo_queue_response(mhd, status, response);
 }

@@ -12,7 +12,7 @@
 
 #define HEAVY_NICE 5 /* the default of the workers */
 
-/* Chooses the queue of a request. Lists take a core for milliseconds each, and clients that read
+/* Chooses the queue of a request. Each list occupies a core for milliseconds, and clients that read
  * one list often read more. */
 static enum mo_queue_kind kind_of(const struct mo_request *request)
 {
@@ -59,8 +59,8 @@ static bool park(struct mo_request *request)
   return parked;
 }
 
-/* Runs the handler of a request. Returns false if the request is parked; it may even have ended by
- * then. */
+/* Runs the handler of a request. Returns false if the request was parked; by then, it may even have
+ * ended. */
 static bool handle(struct mo_request *request)
 {
   /* Long work does not start for a client that has left, or while the service stops. */

@@ -33,7 +33,7 @@ static const char *type_of(unsigned status, const struct mo_faults *faults)
   for (size_t i = 0; i < sizeof(types) / sizeof(types[0]); i++)
     if (types[i].status == status)
       return types[i].type;
-  return "about:blank"; /* found by the HTTP library itself: the status says everything */
+  return "about:blank"; /* found by the HTTP library itself: the status says it all */
 }
 
 void mo_problem_write(struct mo_text *text, unsigned status, const char *detail,

@@ -11,7 +11,7 @@
 #include "http/server.h"
 
 #define WAIT_MAX_S 60
-#define BELOW_MAX  16 /* paths that a fault lists */
+#define BELOW_MAX  16 /* largest number of paths that a fault lists */
 
 /* ---- query parameters ---- */
 
@@ -27,7 +27,7 @@ static const char *find_name(const char *list, const char *name)
   return NULL;
 }
 
-/* Adds the fault of an unknown parameter, and which paths below this one have it. */
+/* Adds the fault of an unknown parameter, with the paths below this one that have it. */
 static void add_unknown(struct mo_faults *faults, const struct mo_request *request,
                         const char *name)
 {
@@ -173,7 +173,7 @@ bool mo_query_word(struct mo_request *request, const char *name, const char *con
 bool mo_accept(struct mo_request *request, const char *const *types, int *form)
 {
   char list[MO_WORDS_BYTES];
-  /* Generated clients accept only the type of problems if it is the only JSON of a path. */
+  /* If problems are the only JSON that a path returns, generated clients accept only their type. */
   static const char *const of_problems[] = {"application/problem+json"};
   *form = mo_accept_choose(request->framing.accept, types, mo_words_count(types));
   if (*form < 0)

@@ -40,7 +40,7 @@ static uint32_t n_running_of(const struct mo_queue *queue, const unsigned char c
   return n;
 }
 
-/* Takes a client's oldest request; the client's next one waits behind all other clients. */
+/* Takes a client's oldest request; the client's next request waits behind all other clients. */
 static void take_first(struct mo_queue *queue, struct mo_request *request)
 {
   struct mo_request *next = STAILQ_FIRST(&request->behind);

@@ -367,7 +367,7 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
   if (!empty)
     reply->body = NULL; /* the response owns it now */
   reply->release = NULL;
-  /* The library sends no body for these, only its length. */
+  /* For these, the library sends only the length of the body. */
   request->sent = request->method == MO_HEAD || reply->status == 304 || empty ? 0 : reply->size;
   /* Slow readers are cut off after a minute, plus a second for every 64 KiB. Streams and downloads
    * are timed piece by piece. */

@@ -25,7 +25,7 @@ static bool matches(const char *pattern, const char *path, size_t size,
 {
   size_t at = 0, parameter = 0;
   while (*pattern != '\0') {
-    /* Both must be at a slash. */
+    /* Path and pattern must both be at a slash. */
     if (at >= size || path[at] != '/')
       return false;
     pattern++, at++;

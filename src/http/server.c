@@ -12,7 +12,7 @@
 #include "base/clock.h"
 #include "base/processors.h"
 
-#define MANY_CONNECTIONS 64 /* at this peak or above, freed memory is returned to the system */
+#define MANY_CONNECTIONS 64 /* peak from which freed memory is returned to the system */
 #define ROUND_MS         100
 #define TICK_MS          1000
 
@@ -121,7 +121,7 @@ static void destroy(struct mo_http *http)
   for (size_t i = 0; i < sizeof(files) / sizeof(files[0]); i++)
     if (files[i] >= 0)
       close(files[i]);
-  /* The library closes a connection that it has not begun to serve without a callback. */
+  /* If the library has not begun to serve a connection, it closes it without a callback. */
   for (size_t fd = 0; fd < http->connections_top; fd++)
     free(http->connections[fd]);
   free(http->connections);
@@ -193,7 +193,7 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
   code = mo_pool_start(http);
   if (code != MO_OK)
     mo_fail(message, code, "cannot start the API threads");
-  *ret = http; /* before the service's threads use it */
+  *ret = http; /* set before the service's threads use it */
   if (code == MO_OK && service->start != NULL) {
     code = service->start(service->context, http);
     if (code != MO_OK)

@@ -3,8 +3,8 @@
  * A stream is live or behind. Live: mo_streams_send writes each new event into the stream's buffer
  * and wakes its connection. Behind (the client requested older events, or reads more slowly than
  * events arrive): mo_streams_send skips the stream. Whenever its buffer is empty, an API thread
- * fills it; when no more events exist, the stream is live again. So the memory of a stream is
- * bounded, no event is lost or sent twice, and an idle stream costs only its heartbeat.
+ * fills it; when no more events exist, the stream is live again. The memory of a stream is
+ * therefore bounded, no event is lost or sent twice, and an idle stream costs only its heartbeat.
  *
  * The connection of a stream that waits for events is suspended. One lock guards everything
  * here. */
@@ -30,7 +30,7 @@ struct mo_stream {
   bool live;
   bool news; /* for a stream that is behind: events arrived since the last call of fill */
   bool ended;
-  bool suspended;          /* the connection waits for wake */
+  bool suspended;          /* the connection is suspended until a wake */
   unsigned tokens_version; /* version when the client's token was last checked; 0: none */
   bool busy; /* an API thread fills the buffer; the connection stays suspended until then */
   struct mo_text buffer;
@@ -68,7 +68,7 @@ void mo_streams_send(struct mo_http *http, int64_t sequence, int64_t topic,
 {
   struct mo_text text = {0};
   struct mo_stream *stream;
-  /* A stream that is just being opened is behind, and its first fill finds the event. */
+  /* A stream that is being opened is behind, and its first fill will find the event. */
   if (atomic_load(&http->streams.n) == 0)
     return;
   write(&text, event);

@@ -1,4 +1,4 @@
-/* tls.c: the parts of TLS that libmicrohttpd, which encrypts, does not cover. */
+/* tls.c: the parts of TLS that libmicrohttpd, which does the encryption, does not cover. */
 #include <gnutls/gnutls.h>
 #include <string.h>
 

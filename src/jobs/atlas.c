@@ -4,12 +4,12 @@
  * body is added to the file when it and all bodies before it have their losses; about once a second
  * the file is made durable, and then the row with the progress is written. The database never
  * contains the scores. Whatever stops the job, it continues after the last durable body of the
- * file: the losses of a body depend on nothing but the body and the settings, so the file has the
- * same bytes.
+ * file. The losses of a body depend only on the body and the settings, so the file has the same
+ * bytes as without the interruption.
  *
- * A file begins with what its losses depend on. If a job continues under different code (a
- * different instruction set, or an update), the unfinished file no longer belongs to it, and the
- * job starts again. */
+ * A file begins with a description of everything that its losses depend on. If a job continues
+ * under different code (a different instruction set, or an update), the unfinished file no longer
+ * belongs to it, and the job starts again. */
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -23,8 +23,8 @@
 #include "jobs/submission.h"
 #include "store/worlds.h"
 
-/* Bodies are saved this often. A new process begins with the shorter time, so that the job makes
- * progress no matter how often it is killed. */
+/* Bodies are saved at these intervals. A new process begins with the shorter one, so that the job
+ * makes progress no matter how often it is killed. */
 #define SAVED_FIRST_US INT64_C(60000)
 #define SAVED_EVERY_US INT64_C(1000000)
 /* A wave fills several windows of the back end, so that devices rarely idle at its end. */
@@ -33,7 +33,7 @@
 #define WAVE_MAX     131072
 #define ROLLOUTS_MAX 1310720 /* of a wave, if it has more than WAVE_LEAST designs */
 #define WAVE_LEAST   2048
-#define VALUES_BYTES (UINT64_C(64) << 20) /* of its measures, in the same case */
+#define VALUES_BYTES (UINT64_C(64) << 20) /* bytes of its measures, in the same case */
 /* Measured, and rounded up: of two streams of bodies, and of the writer. */
 #define TEN_VOXELS_BYTES  (UINT64_C(40) << 20)
 #define NINE_VOXELS_BYTES (UINT64_C(8) << 20)
@@ -56,7 +56,7 @@ struct run {
   struct mo_atlas_wave wave;
   struct mo_scoring scoring;
   uint32_t added;     /* bodies of the wave that were added to the file */
-  uint32_t n_unsaved; /* 1: losses arrived that were not processed */
+  uint32_t n_unsaved; /* 1: losses have arrived that are not processed yet */
   bool is_complete;   /* the file has its final name */
   uint64_t shown;     /* bodies in the row */
   int64_t saved_us, every_us;
@@ -104,7 +104,7 @@ static void advance(struct run *run, double rollouts_per_s)
   live->total = record->bodies_total;
   if (rollouts_per_s > 0)
     live->rate = rollouts_per_s;
-  /* Later bodies have about as many designs as those of this wave. */
+  /* Later bodies are assumed to have about as many designs as those of this wave. */
   if (live->rate > 0 && wave->n > 0)
     live->seconds_left = (double)(record->bodies_total - record->bodies_done) *
                          ((double)wave->n_designs / wave->n) * run->n_environments / live->rate;
@@ -112,10 +112,10 @@ static void advance(struct run *run, double rollouts_per_s)
 
 /* ---- the file ---- */
 
-/* Determines what the file with the atlas's name is. MO_OK: it is complete and contains what this
- * job writes, so run->is_complete. Nothing else uses the name while the job is open, so an earlier
- * attempt ended right before its job did. MO_ERR_NOT_FOUND; MO_ERR_DUPLICATE: it is a different
- * atlas, and the job gives up. */
+/* Examines the file with the atlas's name. MO_OK with run->is_complete: the file is complete and
+ * contains what this job writes. Nothing else uses the name while the job is open, so the process
+ * must have ended between completing the file and finishing the job. MO_ERR_NOT_FOUND;
+ * MO_ERR_DUPLICATE: it is a different atlas, and the job gives up. */
 static int adopt(struct run *run)
 {
   struct mo_atlas_record *record = &run->status.record;
@@ -141,10 +141,11 @@ static int adopt(struct run *run)
     error = mo_runner_give_up(run->runner, MO_ERR_DUPLICATE,
                               "another atlas now has this name; delete or rename it, "
                               "then resume the job");
-  if (error == MO_OK) /* that attempt may not have synced its name */
+  if (error == MO_OK) /* the earlier attempt may not have synced its name */
     error = mo_store_atlases_sync(run->jobs->store);
   if (error == MO_OK) {
-    (void)mo_store_atlas_restart(run->jobs->store, record->name); /* a file that nobody needs */
+    (void)mo_store_atlas_restart(run->jobs->store, record->name); /* remove the unfinished file,
+                                                                     which is not needed */
     run->is_complete = true;
     record->bodies_total = mo_atlas_bodies_of(atlas);
   }
@@ -152,7 +153,7 @@ static int adopt(struct run *run)
   return error;
 }
 
-/* Determines why the writer refused to begin. MO_OK: try again, unless run->is_complete. */
+/* Determines why the writer could not begin. MO_OK: try again, unless run->is_complete. */
 static int resolve(struct run *run)
 {
   const int error = adopt(run);
@@ -218,7 +219,7 @@ static int write_file(void *context)
   return error == MO_OK ? mo_atlas_writer_save(run->writer) : error;
 }
 
-/* Writes where the job continues. */
+/* Writes the position at which the job would continue. */
 static int write_place(void *context)
 {
   struct run *run = context;
@@ -237,7 +238,7 @@ static int write_progress(void *context)
   return mo_store_atlas_progress(run->jobs->store, run->id, record, data);
 }
 
-/* Makes all finished bodies durable, and then shows them. Only additional bodies count as
+/* Makes all finished bodies durable, and then updates the row. Only additional bodies count as
  * progress. */
 static int save_now(struct run *run)
 {
@@ -359,8 +360,8 @@ static int describe_source(struct run *run)
   return MO_OK;
 }
 
-/* Continues the count of rollouts at the body where the file ends, which may not be the last one
- * that the row counts. */
+/* Corrects the count of rollouts to the body at which the file ends, which may differ from the last
+ * one in the row. */
 static int recount(struct run *run)
 {
   struct mo_atlas_record *record = &run->status.record;
@@ -377,7 +378,7 @@ static int recount(struct run *run)
   return MO_OK;
 }
 
-/* Finds where to continue, and shows it. */
+/* Finds the position at which to continue, and reports it. */
 static int find_place(struct run *run)
 {
   struct mo_atlas_record *record = &run->status.record;

@@ -1,4 +1,4 @@
-/* back_end.c: which jobs devices compute.
+/* back_end.c: chooses which jobs devices compute.
  *
  * The back end is chosen at submission and never changes. Bits differ between devices and workers,
  * so a training run or campaign that continued elsewhere would no longer be a function of its
@@ -14,12 +14,13 @@
 #include "jobs/state.h"
 #include "jobs/trainings.h"
 
-#define BLOCKS_A_DEVICE 16384 /* more than one call, at ten environments per block */
+#define BLOCKS_A_DEVICE 16384 /* more than one call takes, with ten environments per block */
 #define BLOCKS_A_WORKER 2
 
 /* ---- classes ---- */
 
-/* Composes the code version. The bits of a trained controller depend on it and on the settings. */
+/* Composes the code version, on which the bits of a trained controller depend in addition to the
+ * settings. */
 static int name_code(struct mo_jobs *jobs, enum mo_back_end back_end, const char *fingerprint)
 {
   const char *version = jobs->config.version != NULL ? jobs->config.version : "";

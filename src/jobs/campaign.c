@@ -1,13 +1,13 @@
 /* campaign.c: the kind "campaign": runs one campaign, generation by generation, to its end or until
  * a request.
  *
- * A generation is a table of phases: children, learning, scores, selection, a re-evaluation of the
- * best, if it is due, and one commit, which is written while the next generation runs. Everything
- * before the commit can be repeated with the same result: children depend on the population and on
- * all designs ever born, learning continues from its checkpoint, and saved losses are reread. So a
- * campaign is a function of its settings and seed, no matter what interrupts it. A campaign ends
- * when all its generations are committed, or when no child can be found; a generation without a
- * child is not committed. */
+ * A generation runs through a table of phases: children, learning, scores, selection, a
+ * re-evaluation of the best designs if it is due, and one commit, which is written while the next
+ * generation runs. Everything before the commit can be repeated with the same result: children
+ * depend on the population and on all designs ever born, learning continues from its checkpoint,
+ * and saved losses are reread. A campaign is therefore a function of its settings and seed, no
+ * matter what interrupts it. A campaign ends when all its generations are committed, or when no
+ * child can be found; a generation without a child is not committed. */
 #include <stdlib.h>
 
 #include "base/clock.h"
@@ -16,7 +16,7 @@
 
 /* ---- a generation ---- */
 
-/* The wall time before generation 0 counts toward it. */
+/* The wall time before generation 0 counts toward that generation. */
 static int begin(struct mo_campaign_run *run)
 {
   const int64_t now_us = mo_clock_us();
@@ -32,8 +32,8 @@ static void free_weights(struct mo_campaign_run *run)
   run->scores.weights = NULL;
 }
 
-/* Makes the survivors the population. A commit may still be reading the rows that they come
- * from. */
+/* Makes the survivors the population. A commit may still be reading the rows from which they were
+ * copied. */
 static int advance_generation(struct mo_campaign_run *run)
 {
   struct mo_campaign_rows *committed = run->rows;
@@ -53,7 +53,7 @@ static int advance_generation(struct mo_campaign_run *run)
 struct phase {
   int (*run)(struct mo_campaign_run *run);
   enum mo_phase shown;                                  /* shown as live figures; idle: unchanged */
-  uint64_t (*total)(const struct mo_campaign_run *run); /* its progress; nullable */
+  uint64_t (*total)(const struct mo_campaign_run *run); /* total of its progress; nullable */
   bool learns;                                          /* only in modes that learn */
   bool parks;                                           /* a request stops the campaign before this
                                                          * phase */
@@ -75,7 +75,7 @@ static const struct phase generation[] = {
 };
 #define N_PHASES (sizeof(generation) / sizeof(generation[0]))
 
-/* Runs a phase, after the steps that must precede it. */
+/* Runs a phase, after whatever must precede it. */
 static int run_phase(struct mo_campaign_run *run, const struct phase *phase)
 {
   int error = MO_OK;
@@ -168,7 +168,7 @@ static int evolve(struct mo_campaign_run *run)
 }
 
 /* Runs the pending batch of a study. Its commit puts the study back into the queue, where it waits
- * for its client, so the attempt has nothing to end (MO_ERR_CONFLICT). */
+ * for its client, so there is no attempt left to end (MO_ERR_CONFLICT). */
 static int run_batch(struct mo_campaign_run *run)
 {
   int error = run_generation(run);

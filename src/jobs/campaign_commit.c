@@ -1,8 +1,8 @@
 /* campaign_commit.c: describes and commits a generation while the next one runs.
  *
  * A commit of thousands of designs takes some tenths of a second, and a device would be idle during
- * that time. So a separate thread writes the commit, and the campaign continues with its other
- * rows. At most one commit is in progress, and all other writes of the campaign wait for it:
+ * that time. A separate thread therefore writes the commit, and the campaign continues with its
+ * other rows. At most one commit is in progress, and all other writes of the campaign wait for it:
  * losses, checkpoints, the next commit, the end and a pause. A crash loses at most one uncommitted
  * generation, which is recomputed with the same result. */
 #include <math.h>
@@ -19,7 +19,7 @@ struct mo_campaign_writing {
   struct mo_campaign_commit commit; /* points to rows of the run, and to the members below */
   struct mo_campaign_loss *losses;  /* moved here from the run */
   double (*measures)[MO_MEASURES];  /* the losses' measures, moved too */
-  double *means, *parent_means;     /* of the measures, and the measures of a study */
+  double *means, *parent_means;     /* means of the measures, then the measures of a study */
   struct mo_re_evaluated held_out[MO_ELITE_MAX];
   struct mo_campaign_step *steps;
   uint8_t *checkpoint;
@@ -27,8 +27,8 @@ struct mo_campaign_writing {
   pthread_t thread;
   bool is_pending; /* started, and not yet known to be committed */
   bool has_thread;
-  atomic_bool ended; /* the thread has its status */
-  int status;        /* of the latest try; MO_ERR_BUSY: none yet */
+  atomic_bool ended; /* the thread has set its status */
+  int status;        /* of the latest attempt; MO_ERR_BUSY: no attempt has ended yet */
 };
 
 /* ---- statistics of a generation ---- */

@@ -41,8 +41,8 @@ struct mo_exclusion {
   volatile uint64_t n_drawn; /* of the current part */
   /* Under the mutex. */
   uint32_t users;
-  int64_t drawer;    /* other campaigns report that they are waiting for this one; 0: it has left,
-                      * and the next one to look replaces it */
+  int64_t drawer;    /* the campaign for which other campaigns report to be waiting; 0: it has left,
+                      * and the next campaign that checks replaces it */
   uint64_t n_before; /* bodies of finished parts */
   int status;        /* DRAWING, MO_OK, or the error that look-ups return */
   struct mo_exclusion *next;
@@ -50,8 +50,8 @@ struct mo_exclusion {
 
 /* ---- files ---- */
 
-/* Lists everything that the set depends on except the workspace, which is in the file. Returns the
- * number that identifies the file. */
+/* Lists everything that the set depends on except for the workspace, which the file contains.
+ * Returns the number that identifies the file. */
 static uint64_t key_of(const struct mo_exclusion *exclusion, struct mo_form_key *key)
 {
   const struct mo_lineage *lineage = &exclusion->lineage;
@@ -169,7 +169,8 @@ static int draw(struct mo_exclusion *exclusion)
 static void *open_or_draw(void *context)
 {
   struct mo_exclusion *exclusion = context;
-  mo_thread_tag = exclusion->first; /* a fault counts as this campaign's, even after it has left */
+  mo_thread_tag = exclusion->first; /* a crash is charged to this campaign, even after it has
+                                       left */
   mo_compute_lower_priority(exclusion->jobs->compute);
   int error = open_file(exclusion, &exclusion->forms);
   if (error != MO_OK) {
@@ -269,7 +270,7 @@ void mo_exclusion_release(struct mo_campaign_run *run)
 
 /* ---- waiting ---- */
 
-/* Estimates the time for all remaining generations from the newest one; 0: unknown. */
+/* Estimates the time for all remaining generations from that of the newest one; 0: unknown. */
 static double generations_s(const struct mo_campaign_run *run)
 {
   const uint32_t generations = run->settings->generations;
@@ -311,8 +312,8 @@ static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
       return status;
     if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
-    /* All bodies take about the same time: after the first second, the rate changes by only a few
-     * percent within a minute. */
+    /* All bodies take about the same time to draw: after the first second, the rate changes by only
+     * a few percent within a minute. */
     const double passed_s = (double)(mo_clock_us() - exclusion->begin_us) * 1e-6;
     show(run, done, exclusion->n_bodies, drawer,
          done > 0 ? passed_s / (double)done * (double)(exclusion->n_bodies - done) : -1);
@@ -351,8 +352,8 @@ int mo_exclusion_acquire(struct mo_campaign_run *run, const struct mo_form_set *
   if (error != MO_OK || lineage.n_parts == 0)
     return error;
   error = join(run, &lineage);
-  if (error == MO_ERR_EXHAUSTED) /* if it were returned unchanged, it would end the campaign as if
-                                  * no child could be found */
+  if (error == MO_ERR_EXHAUSTED) /* returned unchanged, this error would end the campaign as if no
+                                  * child could be found */
     return mo_runner_fail(run->runner, MO_ERR_LIMIT,
                           "the controller's lineage has more pretraining bodies than can be "
                           "redrawn; submit with exclude_pretraining false");

@@ -4,11 +4,11 @@
  * takes parent_steps on the parents, then child_steps on the children. Simultaneous: one training
  * run takes the same steps and continues throughout the campaign. Generation 0 has no parents and
  * takes child_steps on the initial population. Robots learn in random environments or, if the
- * campaign requests it, in those of the campaign; then checkpoints contain these.
+ * campaign requests it, in the campaign's own environments, which checkpoints then contain.
  *
  * A checkpoint is written when it is due, at a pause or stop, and at the end of a generation's
- * learning, so that an interrupted scoring does not lose the learning. A generation commits with
- * the learning state that scored it. */
+ * learning, so that an interruption of scoring does not lose what was learned. A generation commits
+ * with the learning state that scored it. */
 #include <math.h>
 #include <stdlib.h>
 
@@ -138,7 +138,7 @@ static int begin_training(struct mo_campaign_run *run)
 }
 
 /* Loads the learning state that an earlier process reached in this generation. MO_ERR_NOT_FOUND:
- * nothing usable. */
+ * there is no usable checkpoint. */
 static int restore(struct mo_campaign_run *run)
 {
   struct mo_campaign_learning *learning = &run->learning;
@@ -178,7 +178,7 @@ static int prepare_training(struct mo_campaign_run *run)
   return error;
 }
 
-/* Reads the first and last loss from the steps of an earlier process. */
+/* Reads the first and the last loss from the steps that an earlier process stored. */
 static int read_losses(struct mo_campaign_run *run)
 {
   struct mo_campaign_learning *learning = &run->learning;

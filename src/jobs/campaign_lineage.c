@@ -58,8 +58,8 @@ static bool read_number(const char *text, uint64_t *number)
   return errno == 0 && *end == '\0';
 }
 
-/* Reads the seed and size of a pretraining run. n_bodies is 0 if there are none, or if the number
- * is unknown. */
+/* Reads the seed and size of a pretraining run. n_bodies is 0 if there are no bodies, or if their
+ * number is unknown. */
 static int read_pretraining(const struct reading *reading, struct mo_lineage_part *part)
 {
   const struct mo_controller *controller = reading->controller;

@@ -1,5 +1,5 @@
-/* campaign_race.c: scores the children of a generation in waves of environments, and cuts short the
- * ones that cannot survive (src/evolution/racing.c explains the reason and the plan).
+/* campaign_race.c: scores the children of a generation in waves of environments, and cuts short
+ * those that cannot survive (src/evolution/racing.c explains the reason and the plan).
  *
  * At first, the cells of the children are closed. The race begins when the scores of all parents
  * are known: at once if they keep their scores, or after they are rescored because the controller
@@ -40,7 +40,8 @@ static void plan(struct mo_campaign_run *run)
 {
   const uint32_t n = run->n_environments, n_scored = n_parents_scored(run);
   struct mo_campaign_rows *rows = run->rows;
-  for (uint32_t i = 0; i < n_scored; i++) { /* they have learned, and get new losses */
+  for (uint32_t i = 0; i < n_scored; i++) { /* the controller has learned, so the parents get new
+                                               losses */
     memcpy(rows->parent_losses + (size_t)i * n, run->scores.losses[i].losses, n * sizeof(double));
     rows->scores[i] =
         mo_aggregate_score(&run->settings->aggregate, run->scores.losses[i].losses, n);

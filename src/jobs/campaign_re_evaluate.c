@@ -1,9 +1,9 @@
 /* campaign_re_evaluate.c: scores the elite of a generation in fresh worlds.
  *
- * A design is among the best partly because it was lucky in the campaign's worlds. Worlds that
- * selected nothing show what it is worth without that luck. The results are committed with the
- * generation and change nothing else: a generation that is interrupted before its commit is
- * re-evaluated again, with the same bits. */
+ * A design is among the best partly because it was lucky in the campaign's worlds. Its scores in
+ * worlds that were not used for selection show how good it is without that luck. The results are
+ * committed with the generation and change nothing else: a generation that is interrupted before
+ * its commit is re-evaluated again, with the same bits. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,7 +15,7 @@
 #include "certificate/statistics.h"
 #include "jobs/campaign_run.h"
 
-/* The elite, and the part of its worlds that is being scored. */
+/* The elite, and the part of its worlds in which it is being scored. */
 struct elite {
   struct mo_campaign_run *run;
   uint32_t places[MO_ELITE_MAX]; /* (n) in the new population, ascending */
@@ -24,7 +24,7 @@ struct elite {
   double *values;                /* (n, n_worlds) losses, or values of the measure to select by */
   struct mo_bits *genotypes;     /* (sets of the grid, n) */
   struct mo_scoring scoring;
-  uint32_t first, width; /* the grid's first world; worlds of a set */
+  uint32_t first, width; /* the first world of the grid; number of worlds in a set */
 };
 
 /* ---- who, and where ---- */
@@ -133,8 +133,8 @@ static int score_part(struct elite *elite, uint32_t n_sets)
   return error;
 }
 
-/* A set has at most MO_ENVIRONMENTS_MAX worlds, and sets of a grid have equally many: full sets
- * first, then the rest. */
+/* A set has at most MO_ENVIRONMENTS_MAX worlds, and all sets of a grid have the same number: full
+ * sets are scored first, then the rest. */
 static int score(struct elite *elite)
 {
   const uint32_t n_full = elite->n_worlds / MO_ENVIRONMENTS_MAX;

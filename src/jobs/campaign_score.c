@@ -3,8 +3,8 @@
  * The candidates' losses are saved at once, or after a second if devices or other machines compute
  * them (scoring.c). If losses arrive faster than the disk can write them, one transaction saves
  * several candidates. Losses that an earlier process saved are not recomputed. In a zero-shot
- * campaign or a study, losses that `scores` has for a body under this controller are not recomputed
- * either. */
+ * campaign or a study, losses of a body under this controller that are in the table `scores` are
+ * not recomputed either. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,7 +14,7 @@
 #include "jobs/campaign_run.h"
 
 #define SAVED_AT_ONCE           1024
-#define LOOK_UP_THREADS         4 /* the store has a few more connections for other uses */
+#define LOOK_UP_THREADS         4 /* leaves a few of the store's connections for other uses */
 #define LOOK_UPS_WORTH_A_THREAD 1024
 
 /* ---- known losses ---- */
@@ -169,7 +169,7 @@ static int read_known(struct mo_campaign_run *run)
   if (asked == NULL || places == NULL)
     looking.error = MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < scores->n && looking.error == MO_OK; i++)
-    if (scores->scoring.grid.left[i] > 0) { /* none of it is saved */
+    if (scores->scoring.grid.left[i] > 0) { /* nothing of this candidate is saved */
       asked[n] = run->rows->bits[scores->first + i];
       places[n++] = i;
     }
@@ -203,7 +203,7 @@ int mo_campaign_save_losses(void *context)
   struct save save = {.run = run};
   int error = MO_OK;
   if (scores->n_unsaved == 0 || (!run->runner->winding_down && mo_campaign_is_writing(run)))
-    return MO_OK; /* they wait for the commit of the previous generation */
+    return MO_OK; /* saving waits for the commit of the previous generation */
   save.losses = calloc(scores->n_unsaved < SAVED_AT_ONCE ? scores->n_unsaved : SAVED_AT_ONCE,
                        sizeof(*save.losses));
   if (save.losses == NULL)
@@ -258,8 +258,8 @@ static void show(void *context, double rollouts_per_s)
   mo_campaign_advance(run, run->scores.n_done, rollouts_per_s);
 }
 
-/* Computes the open cells with the weights of this generation. In modes that do not learn, these
- * are prepared for the back end once, because devices have copies. */
+/* Computes the open cells with the weights of this generation. In modes that do not learn, the
+ * weights are prepared for the back end only once, because devices keep copies of them. */
 static int compute(struct mo_campaign_run *run)
 {
   struct mo_campaign_scores *scores = &run->scores;
@@ -280,7 +280,7 @@ static int compute(struct mo_campaign_run *run)
   return error == MO_OK ? mo_score(&scores->scoring) : error;
 }
 
-/* Computes the means of the measures, which are the scores if the campaign selects by one. */
+/* Computes the means of the measures, one of which is the score if the campaign selects by it. */
 static void read_measures(struct mo_campaign_run *run)
 {
   const struct mo_campaign_scores *scores = &run->scores;

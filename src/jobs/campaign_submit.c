@@ -10,7 +10,7 @@
 #define MIB             ((uint64_t)1 << 20)
 #define DRAWING_THREADS 16
 /* Measured, and rounded up. */
-#define CAMPAIGN_BYTES  (20 * MIB)          /* controller, packed for the kernels */
+#define CAMPAIGN_BYTES  (20 * MIB)          /* the controller, packed for the kernels */
 #define CANDIDATE_BYTES ((uint64_t)3 << 9)  /* of a population: parents and children */
 #define SCORED_BYTES    ((uint64_t)4 << 10) /* a candidate's losses: computed, saved, found */
 #define WORLD_BYTES     ((uint64_t)4 << 10) /* a fresh world, with the losses of the elite */
@@ -20,8 +20,8 @@
 
 /* ---- memory ---- */
 
-/* Adds the set of all excluded bodies, and a second set that separates the bodies of one part. The
- * first part in the service's workspace needs no second set. */
+/* Adds the set of all excluded bodies, and a second set that detects duplicates within one part.
+ * The first part in the service's workspace needs no second set. */
 static void add_excluded(const struct mo_jobs *jobs, const struct mo_lineage *lineage,
                          struct mo_workspace workspace, struct mo_need *need)
 {
@@ -80,7 +80,7 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_record *reco
 
 /* ---- checks ---- */
 
-/* A reply with a batch of a study holds every measure of every rollout. */
+/* A reply with a batch of a study contains every measure of every rollout. */
 static int check_study_reply(const struct mo_campaign_record *record, struct mo_message *message)
 {
   const uint64_t each =
@@ -163,8 +163,8 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   const struct mo_submitting submitting = {MO_JOB_CAMPAIGN, &asked->job, request.controller,
                                            record->replicates, 0};
   int error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
-  /* Look here first, before a full queue or a missing device can cause the request to be rejected;
-   * the store checks again. */
+  /* Look for the study before a full queue or a missing device can cause the request to be
+   * rejected; the store checks again. */
   if (error == MO_OK && !*replayed && asked->reuses &&
       mo_store_study_find(jobs->store, asked->job.label, id) == MO_OK)
     return MO_ERR_DUPLICATE;
@@ -257,7 +257,8 @@ int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generatio
     return MO_OK;
   int error = check_extension(jobs, id, generations, message);
   if (error == MO_OK)
-    error = mo_jobs_admit(jobs, 1, 0, message); /* a campaign that has succeeded is open again */
+    error = mo_jobs_admit(jobs, 1, 0, message); /* a campaign that had succeeded is now open
+                                                   again */
   if (error != MO_OK)
     return error;
   error = mo_store_extend_campaign(jobs->store, id, generations, key, &before);

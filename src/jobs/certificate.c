@@ -3,8 +3,8 @@
  * The rollouts of all trials are one sequence: trial by trial, within a trial by parts of up to 64
  * environments, within a part design by design. Consecutive parts with the same physics, precision
  * and width form a group, whose cells are one grid with a set of environments per part, so that the
- * back end rarely idles. Losses are saved in the order of the sequence, about once a second. So the
- * number of saved rollouts shows where a job continues, no matter what stopped it.
+ * back end rarely idles. Losses are saved in the order of the sequence, about once a second. The
+ * number of saved rollouts therefore determines where a job continues, no matter what stopped it.
  *
  * Losses under different code (a different instruction set, or an update) must not be compared: if
  * a job continues under different code, it begins again. */
@@ -19,11 +19,11 @@
 #include "rollout/physics.h"
 #include "store/worlds.h"
 
-/* Losses are saved this often. A new process begins with the shorter time, so that the job makes
- * progress no matter how often it is killed. */
+/* Losses are saved at these intervals. A new process begins with the shorter one, so that the job
+ * makes progress no matter how often it is killed. */
 #define SAVED_FIRST_US INT64_C(60000)
 #define SAVED_EVERY_US INT64_C(1000000)
-#define GROUP_ROLLOUTS 524288 /* most rollouts of a group with several parts */
+#define GROUP_ROLLOUTS 524288 /* limit of rollouts in a group with several parts */
 #define ROW_LOSSES     65536  /* of a saved row */
 #define ROWS_MAX       64     /* per save; a group ends a row at each trial */
 #define FLOAT64_COST   2.0    /* time of a rollout, relative to float32 */
@@ -68,9 +68,9 @@ struct run {
   bool is_scoring; /* the group has a grid */
   struct mo_certificate_losses rows[ROWS_MAX];
   size_t n_rows;
-  uint32_t n_unsaved; /* 1: losses arrived that were not processed */
+  uint32_t n_unsaved; /* 1: losses have arrived that are not processed yet */
   int64_t saved_us, every_us;
-  double pace; /* costs per second, as last known; 0: unknown */
+  double pace; /* cost computed per second, as last measured; 0: unknown */
 };
 
 /* ---- live figures ---- */
@@ -456,7 +456,8 @@ static int prepare(struct run *run)
   return error;
 }
 
-/* Lists show a certificate's brief verdict on a design, and must not compute it from losses. */
+/* Lists show the brief verdict of a certificate on a design. It is stored, because computing it
+ * from losses would take too long. */
 static int find_verdicts(const struct run *run, uint8_t *verdicts)
 {
   struct mo_report report;
@@ -521,7 +522,7 @@ static void clean_up(void *context)
 struct mo_need mo_certificate_need(const struct mo_jobs *jobs, uint32_t n_designs,
                                    uint64_t n_rollouts, enum mo_back_end back_end)
 {
-  /* At the end, all losses are in memory instead of a group. */
+  /* At the end, all losses are in memory, instead of those of a group. */
   const uint64_t losses = n_rollouts * sizeof(float);
   return (struct mo_need){.own = (losses > GROUP_BYTES ? losses : GROUP_BYTES) +
                                  (uint64_t)n_designs * MO_CERTIFICATE_PART * MO_MEASURES *

@@ -46,8 +46,8 @@ static int compute(struct mo_report *report)
                                 report->scores, report->lists);
 }
 
-/* Finds out why a complete trial has no losses: since its state was read, the job has begun again
- * under different code, or has been deleted; otherwise, losses are lost. */
+/* Determines why a complete trial has no losses: since its state was read, the job has begun again
+ * under different code, or has been deleted; otherwise, the losses are lost. */
 static int explain_loss(struct mo_store *store, const struct mo_report *report)
 {
   struct mo_certificate_status now;

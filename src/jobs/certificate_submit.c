@@ -12,7 +12,7 @@
 
 #define LARGE_ROLLOUTS 20000 /* at this size or above, devices are worthwhile */
 
-/* What a request is completed with; the request points into it. */
+/* The data with which a request is completed; the request points into it. */
 struct completion {
   struct mo_certificate_request request;
   char controller[MO_SHA256_DIGITS + 8], set[MO_NAME_BYTES_MAX + 1];
@@ -81,7 +81,7 @@ static int take_environments(struct mo_jobs *jobs, struct completion *made,
                        mo_job_kind_name(job->kind), (long long)job->id, mo_error_text(error));
 }
 
-/* Takes what the request leaves out from the job with the designs. */
+/* Takes the settings that the request leaves out from the job with the designs. */
 static int take_from_job(struct mo_jobs *jobs, struct completion *made, const struct mo_job *job,
                          struct mo_message *message)
 {
@@ -129,8 +129,8 @@ static int check_worlds(const struct mo_certificate_base *base, struct mo_messag
   return MO_OK;
 }
 
-/* The bounds of a request imply this one: base, precision, two steps and two heights; copies of all
- * worlds; six constants; two axes with their own worlds. */
+/* The bounds of a request imply this bound. The trials are: base, precision, two steps and two
+ * heights; copies of all worlds; six constants; two axes with their own worlds. */
 _Static_assert(
     (uint64_t)MO_CERTIFICATE_DESIGNS_MAX *(
         MO_ENVIRONMENTS_MAX *(6 + MO_CERTIFICATE_CHANCE_MAX + 6 * MO_CERTIFICATE_LEVELS_MAX) +
@@ -152,7 +152,7 @@ static int count_trials(struct completion *made, const struct mo_certificate_bas
   return MO_OK;
 }
 
-/* Reads the environments of a named set. Determines what the trials are built from. */
+/* Reads the environments of a named set. Determines the data from which the trials are built. */
 static int find_base(struct mo_jobs *jobs, struct completion *made,
                      struct mo_certificate_base *base, struct mo_message *message)
 {

@@ -2,9 +2,9 @@
  *
  * Each round takes finished blocks, requests and the result of a save from the inbox; claims queued
  * jobs while places are free; fills the back end's window, interactive jobs first; starts a save
- * when one is due; and sleeps until news or the next due time. Each evaluation has its own share of
- * the back end, as training runs and campaigns do, and keeps a window of blocks in it. The back end
- * divides its time by the shares' weights. */
+ * when one is due; and sleeps until something arrives or is due. Each evaluation has its own share
+ * of the back end, as training runs and campaigns do, and keeps a window of blocks in it. The back
+ * end divides its time by the shares' weights. */
 #include <stdlib.h>
 
 #include "base/clock.h"
@@ -12,7 +12,7 @@
 #include "jobs/evaluation_climb.h"
 #include "jobs/submission.h"
 
-#define DESIGNS_A_ROUND 64 /* of each job */
+#define DESIGNS_A_ROUND 64 /* designs of each job per round */
 #define ROUND_US        1000000
 #define CLAIMS_MAX      1024
 #define SHOW_US         250000 /* between two updates of a job's live figures */
@@ -34,7 +34,8 @@ static void free_active(struct mo_evaluations *all, struct mo_active *active)
 }
 
 /* Frees detached jobs without references once their counts are saved; after an error, only after a
- * delay. Such a job may be claimed again. Returns when to look next, or 0 to look again at once. */
+ * delay. Such a job may be claimed again. Returns the time at which to call this next, or 0: at
+ * once. */
 static int64_t sweep(struct mo_evaluations *all)
 {
   const int64_t now = mo_clock_us();
@@ -271,7 +272,8 @@ static void finish_updates(struct mo_evaluations *all, int status)
       finish_update(all, active, update);
     else if (update->step == MO_STEP_RETRY || update->step == MO_STEP_HALT)
       active->failing = mo_pending_update(all, active, update->step, update->error,
-                                          update->error_text) != NULL; /* without the results */
+                                          update->error_text) != NULL; /* again, without the
+                                                                          results */
     active->references--;
   }
   mo_pending_clear(saving);

@@ -1,11 +1,11 @@
-/* evaluation_blocks.c: parts of an evaluation's blocks in addition to scoring.c: look-ups, rollouts
- * shared between jobs, recordings.
+/* evaluation_blocks.c: what evaluations add to the blocks of scoring.c: look-ups, rollouts shared
+ * between jobs, recordings.
  *
  * The look-up for an open cell first checks the rollouts that are being computed or are waiting for
  * their commit (then the cell is deferred), and then the store (then the cell is done). Otherwise
  * the cell joins a new block. Only the scheduler adds and removes rollouts, and removes a rollout
- * only after its commit, or when its block fails. So a score is always in one of the two places and
- * is never computed twice. The exception is an interactive job, which does not wait for a device.
+ * only after its commit, or when its block fails. A score is therefore always in one of the two
+ * places and is never computed twice, except for interactive jobs, which do not wait for a device.
  * Verify and recording jobs compute every cell in their own blocks. */
 #include <stdlib.h>
 #include <string.h>
@@ -19,7 +19,7 @@
 struct flight {
   struct mo_flight flight;                     /* must be the first member */
   struct mo_rollout *rollouts[MO_BLOCK_LANES]; /* rollouts of jobs that share them */
-  struct mo_body *body;                        /* recorded */
+  struct mo_body *body;                        /* the body, if it is recorded */
   struct mo_recording recordings[MO_BLOCK_LANES];
   uint32_t frames;
   uint64_t recorded_bytes;
@@ -62,7 +62,8 @@ static struct mo_rollout **bucket_of(struct mo_evaluations *all, const struct mo
   return &all->buckets[(size_t)(h >> 40) % MO_ROLLOUT_BUCKETS];
 }
 
-/* Returns which run of its design a row of the grid is (score_ladder.h); 0 without estimates. */
+/* Returns the number of the run that a row of the grid is for its design (score_ladder.h); 0
+ * without estimates. */
 static uint32_t run_of(const struct mo_work *work, uint32_t design)
 {
   return design / (work->n_designs / work->n_runs);
@@ -214,7 +215,7 @@ static int look_up(void *context, uint32_t design)
     any = mo_grid_is_open(&active->grid, design, k) && !must_wait(all, active, design, k);
   if (!any)
     return MO_OK;
-  key.workers = 0; /* only the job's own class */
+  key.workers = 0; /* use only the job's own class */
   error = mo_store_scores(all->jobs->store, &key, environments, work->n_environments, scores);
   if (error == MO_OK && is_measured(work, design))
     error = mo_store_measured(all->jobs->store, &key, environments, work->n_environments,
@@ -240,8 +241,8 @@ static int joins(void *context, struct mo_flight *flight, uint32_t k)
   return *rollout != NULL ? 1 : MO_ERR_NO_MEMORY;
 }
 
-/* All measures are computed, whichever were requested: most of the time goes into observing the
- * body once, and the next request finds the others. */
+/* All measures are computed, no matter which were requested: most of the time is spent on observing
+ * the body once, and later requests will find the others. */
 static int prepare_measures(struct flight *flight)
 {
   struct mo_block *block = &flight->flight.block;

@@ -3,10 +3,10 @@
  *
  * Storing a million designs takes about a minute of CPU time, so a submission stores only a
  * description of them: a seed, or a list of bits. One thread stores them in groups, each in its own
- * transaction, and between these the store's writer serves other requests. A crash or a pause loses
- * at most one group. The random bodies before it must be redrawn, because each new body depends on
- * them, but they are not stored again. Each evaluation is finished before the next one begins, and
- * the one with the fewest designs left is next. */
+ * transaction, and between these transactions the store's writer serves other requests. A crash or
+ * a pause loses at most one group. The random bodies before it must be redrawn, because whether a
+ * body is new depends on them, but they are not stored again. Each evaluation is finished before
+ * the next one begins, and the one with the fewest designs left comes next. */
 #include <stdio.h>
 
 #include "base/clock.h"
@@ -130,7 +130,7 @@ static void *draw_all(void *context)
 {
   struct mo_evaluations *all = context;
   struct mo_runners *runners = all->runners;
-  uint64_t seen = UINT64_MAX, requests = 0; /* checks at once */
+  uint64_t seen = UINT64_MAX, requests = 0; /* so that it checks at once */
   bool again = false;
   for (;;) {
     pthread_mutex_lock(&runners->mutex);

@@ -67,7 +67,7 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
   if (active->race != NULL && step == MO_STEP_SUCCEED)
     update.counted = active->race->asked;
   if ((active->race != NULL || active->climbs != NULL) && step == MO_STEP_SUCCEED)
-    update.cut = active->cut; /* in a different class, there may have been more */
+    update.cut = active->cut; /* under a different class, there may have been more */
   if (text != NULL)
     snprintf(update.error_text, sizeof(update.error_text), "%s", text);
   added = mo_pending_add(all, &all->pending.updates, &update, sizeof(update));

@@ -6,13 +6,15 @@
 #include "jobs/submission.h"
 #include "store/controllers.h"
 
-#define INTERACTIVE_ROLLOUTS 64 /* limit if the request has no priority */
+#define INTERACTIVE_ROLLOUTS 64 /* largest interactive job if the request specifies no priority */
 /* Interactive jobs go first, so they must be short: about a second of one core. In that time, the
  * float32 kernel moves 40 million springs by one step. The hidden layers of the network cost as
  * much as 100 more springs per rollout. float64 takes twice as long. */
 #define INTERACTIVE_COST 40e6
 #define NETWORK_SPRINGS  100
-#define PHYSICS_SHARE    0.15 /* of such a step, where the network acts in every one */
+#define PHYSICS_SHARE                                                                              \
+  0.15 /* fraction of the cost of such a step that is physics, if the network                      \
+          runs in every step */
 
 bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
                  const struct mo_physics *physics, enum mo_precision precision)
@@ -102,7 +104,7 @@ static bool is_suite(const struct mo_evaluation_request *request)
          mo_word_index(mo_suite_words, request->environment_set) >= 0;
 }
 
-/* Checks that the bytes of each row of the grid and of each rollout fit into memory (evaluation.h,
+/* Checks that the data for all rows of the grid and all rollouts fit into memory (evaluation.h,
  * best.c, evaluation_climb.c). */
 static int check_large(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                        struct mo_message *message)

@@ -42,7 +42,7 @@ static void complete_config(struct mo_jobs *jobs)
     config->max_recorded_bytes = UINT64_C(64) << 20;
   if (config->max_memory > 0 && config->max_recorded_bytes > config->max_memory / 4)
     config->max_recorded_bytes = config->max_memory / 4;
-  config->crash_marker = NULL; /* already read, and the caller's */
+  config->crash_marker = NULL; /* already read, and owned by the caller */
 }
 
 /* ---- the marker: the job that a dying process was working on ---- */
@@ -91,9 +91,9 @@ static void read_marker(const char *path, int64_t *job, int *signal_number)
     *job = 0;
 }
 
-/* Chooses the job that counts as crashed after a kill with an unknown cause: the only job that had
- * saved nothing since the process began. If there were several such jobs, or none, no job counts as
- * crashed, and jobs start one at a time. */
+/* Chooses the job that is charged with a kill of unknown cause: the only job that had saved nothing
+ * since the process began. If there were several such jobs, or none, no job is charged, and jobs
+ * start one at a time. */
 static int blame(struct mo_jobs *jobs, int64_t *crashed)
 {
   uint32_t n = 0, n_idle = 0;
@@ -221,7 +221,7 @@ int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
   for (int kind = 0; kind < MO_JOB_KINDS; kind++)
     is_saved = mo_runners_wait(&jobs->runners[kind], end_us) &&
                !atomic_load(&jobs->runners[kind].unsaved) && is_saved;
-  atomic_store(&jobs->abandon, true); /* failed saves have now used up their time */
+  atomic_store(&jobs->abandon, true); /* the time for retrying failed saves is over */
   return is_saved && !atomic_load(&jobs->no_space) ? MO_OK : MO_ERR_BUSY;
 }
 
@@ -245,7 +245,8 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
     return error;
   runners = &jobs->runners[job.kind];
   bool reopens = runners->kind->run != NULL && change_to == MO_CHANGE_RESUME &&
-                 job.state == MO_JOB_FAILED; /* the queue must have space for the job */
+                 job.state == MO_JOB_FAILED; /* the queue must have space for a job that is
+                                                reopened */
   if (reopens)
     error = mo_jobs_admit(jobs, 1, 0, NULL);
   if (error != MO_OK)

@@ -9,7 +9,8 @@
 
 #define THREADS_MAX 16
 
-/* Draws and lays out the next robots. An error will recur, and is reported when the step is due. */
+/* Draws and lays out the next robots. An error would recur when the step is due, and is reported
+ * then. */
 static void *draw_ahead(void *context)
 {
   struct mo_learner *learner = context;

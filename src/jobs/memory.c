@@ -2,12 +2,12 @@
  * running jobs fit into `max_memory`.
  *
  * A job starts when it fits in addition to the running ones. Until then it stays queued, with a
- * reason. At most OVERTAKEN_MAX later jobs that fit may start before it; then all of them wait for
- * it. Submission rejects a job that would not fit even alone. If such a job was stored under a
- * higher limit, it waits, and no other job waits for it.
+ * reason. At most OVERTAKEN_MAX later jobs that fit may start before it; after that, all later jobs
+ * wait for it. Submission rejects a job that would not fit even alone. If such a job was stored
+ * under a higher limit, it waits, and no other job waits for it.
  *
  * If a process was killed while several jobs ran, jobs start one at a time, each after the earlier
- * ones have saved something. So the next kill identifies the job at fault (mo_store_requeue). */
+ * ones have saved something. The next kill then identifies the job at fault (mo_store_requeue). */
 #include "jobs/memory.h"
 
 #include <malloc.h>
@@ -224,7 +224,7 @@ bool mo_memory_take(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id
   return taken;
 }
 
-/* Removes one suspect, if this job was not proven before. */
+/* Reduces the number of suspects by one, if this job was not proven before. */
 static bool clear(struct mo_memory *memory, const struct mo_memory_user *user)
 {
   if (memory->n_suspects == 0 || user == NULL || user->is_proven)

@@ -3,7 +3,7 @@
 
 #define MARK_US  INT64_C(10000000)
 #define LEAST_US INT64_C(500000)
-#define LEAST_N  3 /* number of arrivals; one or two say little */
+#define LEAST_N  3 /* number of arrivals; one or two are too few for an estimate */
 
 void mo_pace_add(struct mo_pace *pace, int64_t now_us, uint64_t done)
 {

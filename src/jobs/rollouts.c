@@ -212,7 +212,7 @@ static int compute(struct mo_jobs *jobs, const struct mo_evaluation_request *req
   int error = has_memory ? MO_OK : MO_ERR_NO_MEMORY;
   size_t n = 0, row = 0;
   for (size_t i = 0; from != NULL && error == MO_OK && i < n_max; i++)
-    from[i] = rollouts->from[i].state; /* its arrays stay the request's */
+    from[i] = rollouts->from[i].state; /* its arrays still belong to the request */
   for (uint32_t i = 0; i < rollouts->n_designs && error == MO_OK; i++)
     for (uint32_t k = 0; k < rollouts->n_environments; k += MO_BLOCK_LANES, n++)
       fill_block(request, rollouts, controller, i, k, recordings, from, &blocks[n]);

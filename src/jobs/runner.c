@@ -6,9 +6,9 @@
  *
  * A write that lacks disk space, memory or descriptors is retried every second (retry_ms) until it
  * succeeds or a request arrives. A stop request does not wait: the next process continues from the
- * saved state. Lack of memory outside a write ends the attempt, which frees memory for other jobs;
- * the runner repeats the attempt. Any other error also ends the attempt; the third error in a row
- * ends the job (max_attempts). */
+ * saved state. A lack of memory outside a write ends the attempt, which frees memory for other
+ * jobs; the runner repeats the attempt. Any other error also ends the attempt; the third error in a
+ * row ends the job (max_attempts). */
 #include "jobs/runner.h"
 
 #include <math.h>
@@ -147,7 +147,7 @@ void mo_runner_warn(const struct mo_runner *runner, int error, const char *text)
 
 /* ---- writes that wait for space ---- */
 
-/* Returns whether the error can go away without a request. */
+/* Returns whether the cause of the error can disappear without a request. */
 static bool is_temporary(const struct mo_runner *runner, int error)
 {
   return mo_is_shortage(error) && !(error == MO_ERR_NO_MEMORY && runner->is_short);
@@ -261,7 +261,8 @@ bool mo_runner_end_attempt(struct mo_runner *runner, int error, void *run)
     (void)kind->save(run);
     return false;
   case MO_ERR_CONFLICT:
-    return false; /* paused or cancelled while its end was written: keeps that state */
+    return false; /* the job was paused or cancelled while its end was being written, and keeps that
+                     state */
   default: break;
   }
   if (runner->text[0] == '\0')

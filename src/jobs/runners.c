@@ -1,4 +1,4 @@
-/* runners.c: the threads of jobs with their own thread.
+/* runners.c: the threads that run jobs one after another.
  *
  * Each kind has one thread for each job that may run concurrently. A free thread takes the first
  * queued job that no other thread holds. A run that lacks memory or descriptors has not failed; its
@@ -10,7 +10,9 @@
 #include "jobs/evaluation.h"
 #include "jobs/state.h"
 
-#define CLAIMS_MAX   65 /* queued jobs per look-up: one more than the most threads of a kind */
+#define CLAIMS_MAX                                                                                 \
+  65 /* queued jobs per look-up: one more than the largest number of threads of a                  \
+        kind */
 #define LONGEST_WAIT 30 /* for memory, in multiples of retry_ms */
 
 /* ---- claiming ---- */
@@ -25,8 +27,8 @@ static void begin(struct mo_runner *runner)
   __atomic_store_n(&runner->replayed, 0, __ATOMIC_RELAXED);
 }
 
-/* Reserves the first job that no other thread holds and that memory suffices for. Returns 0 if
- * there is none. */
+/* Reserves the first job that no other thread holds and for which there is enough memory. Returns 0
+ * if there is none. */
 static int64_t reserve(struct mo_runner *runner, const int64_t *ids, int64_t n)
 {
   struct mo_runners *runners = runner->runners;
@@ -59,7 +61,8 @@ static void release(struct mo_runner *runner)
   runner->id = 0;
   runner->request = MO_REQUEST_NONE;
   runner->waits = false;
-  runners->look++; /* this job may be requeued, or others may have waited for a thread */
+  runners->look++; /* this job may have been requeued, or other jobs may be waiting for this
+                      thread */
   atomic_fetch_sub(&runners->active, 1);
   pthread_cond_broadcast(&runners->news);
   pthread_mutex_unlock(&runners->mutex);

@@ -2,8 +2,9 @@
  *
  * A grid is cut, in order, into blocks of one design and up to MO_BLOCK_LANES environments. Before
  * that, cells with stored results are marked as done. The thread that submits blocks takes them
- * back from an inbox, stores their results, and submits more, so that the back end always has a
- * window of them. A crash loses the blocks in flight and the results that wait for their commit. */
+ * back from an inbox, stores their results, and submits more, so that the back end always holds a
+ * window of blocks. A crash loses the blocks in flight and the results that wait for their
+ * commit. */
 #include "jobs/scoring.h"
 
 #include <limits.h>
@@ -93,8 +94,8 @@ static bool has_open(const struct mo_grid *grid, uint32_t design)
   return false;
 }
 
-/* Moves past the design that `seek` found. The ring may have the first design twice: it is passed
- * only when it has no open cell, but it may have been reopened since. */
+/* Moves past the design that `seek` found. The ring may contain the first design twice, because a
+ * design is passed only when it has no open cell, but may be reopened after that. */
 static void pass(struct mo_grid *grid)
 {
   if (grid->n_again > 0) {
@@ -223,7 +224,7 @@ int mo_window_take(struct mo_window *window, const struct mo_flight *flight, boo
     error = block->outcomes[i].loss > -INFINITY ? MO_OK : NOT_A_LOSS;
   for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++)
     *is_done = mo_grid_finish(window->grid, flight->design, flight->places[i]);
-  if (block->status == MO_ERR_EXHAUSTED) { /* if the error were passed on unchanged, it would end a
+  if (block->status == MO_ERR_EXHAUSTED) { /* passed on unchanged, this error would end a
                                             * campaign */
     char robot[MO_SMALL_VOXELS / 4 + 3] = "";
     (void)mo_genotype_robot(block->lattice->workspace, block->genotype, robot);
@@ -270,7 +271,7 @@ static int fill(struct run *run)
   struct mo_compute *compute = run->window.compute;
   unsigned budget = UINT_MAX;
   int launched = 1;
-  /* The window grows and shrinks as remote takers come and go. */
+  /* The window grows and shrinks as remote takers connect and disconnect. */
   run->window.most =
       mo_back_end_window(run->scoring->runner->jobs, run->scoring->grid.block.back_end);
   mo_compute_begin_blocks(compute);
@@ -293,7 +294,8 @@ static int take_one(struct run *run, struct mo_flight *flight)
   return error;
 }
 
-/* A device, or a machine on a slow connection, returns many blocks at once. */
+/* Returns whether results arrive in bursts: a device, or a machine on a slow connection, returns
+ * many blocks at once. */
 static bool arrive_in_bursts(const struct run *run)
 {
   const enum mo_back_end back_end = run->scoring->grid.block.back_end;
@@ -308,8 +310,8 @@ static bool saves_later(const struct run *run)
          mo_clock_us() < run->unsaved_us + SAVED_AFTER_US;
 }
 
-/* Waits for a block, or until results have to be saved, and takes the finished ones. A request
- * cancels all blocks soon. */
+/* Waits for a block, or until results have to be saved, and takes the finished ones. If there is a
+ * request, all blocks end soon. */
 static int take_all(struct run *run)
 {
   const bool later = saves_later(run);

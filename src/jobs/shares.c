@@ -1,8 +1,8 @@
 /* shares.c: the shares of the back end: one per running job.
  *
  * The store holds the weight of a job. An opened share is listed here before its weight is read
- * from the store; a new weight is stored before its share is looked up. So in either order the
- * share gets the newest weight. */
+ * from the store; a new weight is stored before its share is looked up. Whichever happens first,
+ * the share gets the newest weight. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -19,8 +19,8 @@ static void add(const struct mo_compute_share *share, double *worker_s, double *
   *device_s += stats.device_s;
 }
 
-/* Call it under shares_mutex. Returns the pointer to the share in the list; * is NULL if there is
- * none. */
+/* Call it under shares_mutex. Returns the address of the list's pointer to the share, which is NULL
+ * if there is no share. */
 static struct mo_job_share **find(struct mo_jobs *jobs, int64_t id)
 {
   struct mo_job_share **link = &jobs->shares;

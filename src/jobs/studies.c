@@ -147,7 +147,7 @@ struct asking {
 };
 
 /* Reads the numbers and bodies of the parents: all, in their order, or as many as there are
- * requested bodies, at random. So a study that asks for its whole population acts like a
+ * requested bodies, at random. A study that asks for its whole population therefore behaves like a
  * campaign. */
 static int read_parents(struct asking *asking, const struct mo_ask *ask)
 {

@@ -2,9 +2,9 @@
  *
  * A step draws robots, waits for their gradient and applies it. Rows of steps are written about
  * once a second and before every checkpoint. A checkpoint is written when it is due, at a pause, at
- * a stop, and at the end, before the controller; on devices, during the next gradient. A crash
- * loses the time since the last checkpoint: the steps after it are repeated with the same
- * results. Training each design separately is a sequence of such runs, one per design. */
+ * a stop, and at the end, before the controller; on devices, it is written during the next
+ * gradient. A crash loses the time since the last checkpoint: the steps after it are repeated with
+ * the same results. Training each design separately is a sequence of such runs, one per design. */
 #include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/training_run.h"
@@ -104,7 +104,7 @@ static bool checkpoint_is_due(const struct mo_training_run *run)
          mo_checkpoint_is_due(&run->status.job, run->checkpoint_us, record->checkpoint_every_s);
 }
 
-/* Writes the due data of the steps applied so far. */
+/* Writes the data of the steps applied so far, if it is due. */
 static int write_what_is_due(void *context)
 {
   struct mo_training_run *run = context;
@@ -254,7 +254,7 @@ static int learn(struct mo_training_run *run)
   return error;
 }
 
-/* Lets the current design learn. */
+/* Trains the controller of the current design. */
 static int learn_one(struct mo_training_run *run)
 {
   int error = mo_each_begin(run);

@@ -80,7 +80,7 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
                     struct mo_placed *placed, struct mo_message *message)
 {
   struct mo_training_record *record = &request->record;
-  /* For drawn worlds, the scores on the test set show which orientation is best. */
+  /* For drawn worlds, the orientation is chosen by the scores on the test set. */
   const bool is_listed = request->environments != NULL && !record->draws_worlds;
   const char *const set = record->environment_set[0] != '\0' ? record->environment_set
                           : is_listed                        ? NULL

@@ -98,7 +98,7 @@ static int compute(struct mo_jobs *jobs, struct mo_verification *verification, s
   return error;
 }
 
-/* Drops rows from the end that would take too long, but always keeps the first. */
+/* Drops rows from the end until the rest does not take too long, but always keeps the first. */
 static size_t shorten(struct mo_verification *verification, size_t n)
 {
   uint64_t steps = 0;

@@ -98,8 +98,8 @@ struct put {
   struct mo_message *message;
 };
 
-/* Reads and checks a file that has no name yet. A new name may have been taken while the file was
- * written and read. */
+/* Reads and checks a file that has no name yet. If the name was free, it may have been taken while
+ * the file was written and read. */
 static int check_file(void *context, const char *path)
 {
   const struct put *put = context;

@@ -90,8 +90,9 @@ static bool read_part(const char *file, char name[MO_ATLAS_NAME_MAX + 1])
   return mo_atlas_name_is_valid(name);
 }
 
-/* Returns whether the file belongs to jobs that have ended. A file with a name that no job has, as
- * after an older database was restored, stays: it may be hours of work. */
+/* Returns whether the file belongs to jobs that have ended. A file with a name that belongs to no
+ * job, for example after an older database was restored, is kept, because it may contain hours of
+ * work. */
 static int is_over(struct mo_store *store, const char *name, bool *over)
 {
   static const char sql[] = "SELECT count(*)>0 AND sum(j.state IN(0,1,2,4))=0 FROM atlases a"

@@ -52,7 +52,7 @@ uint32_t mo_atlas_sample_place(const struct mo_atlas_sample *sample, uint32_t i)
 
 /* ---- the atlas ---- */
 
-/* Says why there is no file: MO_ERR_NOT_FOUND, or MO_ERR_CONFLICT if it is not complete yet. */
+/* Returns why there is no file: MO_ERR_NOT_FOUND, or MO_ERR_CONFLICT if it is not complete yet. */
 static int explain(struct mo_store *store, const char *name, struct mo_message *message)
 {
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
@@ -115,7 +115,7 @@ static int name_environments(const struct mo_atlas *atlas, char *name)
   return MO_OK;
 }
 
-/* Fills in what the file says. */
+/* Fills in the members that come from the file. */
 static int describe(const struct mo_atlas *atlas, struct mo_atlas_sample *sample,
                     struct mo_message *message)
 {

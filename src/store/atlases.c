@@ -16,7 +16,7 @@
 #include "store/runs.h"
 #include "store/warnings.h"
 
-#define MADE_MAX 10000 /* names that are tried */
+#define MADE_MAX 10000 /* number of names that are tried */
 
 /* ---- submission ---- */
 
@@ -166,8 +166,8 @@ static int write_record(struct mo_connection *writer, int64_t id, const void *an
 
 static int progress(struct mo_store *store, void *arguments)
 {
-  /* Same as for checkpoints of training runs: an error that recurs at the same body prevents
-   * progress. */
+  /* Resets the attempts, as checkpoints of training runs do: an error that recurs at the same body
+   * prevents progress. */
   static const char forgive_sql[] = "UPDATE jobs SET attempts=0 WHERE id=?1 AND attempts>0 AND"
                                     " ?2>(SELECT bodies_done FROM atlases WHERE job=?1)";
   const struct progress *call = arguments;

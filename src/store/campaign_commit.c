@@ -204,7 +204,8 @@ static void take_part(const struct conditions *conditions, const struct mo_campa
 static int insert_part(struct mo_store *store, struct part *part, int64_t genotype,
                        bool has_measures, struct mo_condition *last, int64_t now_us, bool *is_new)
 {
-  bool is_stored = false; /* the rollouts may have been computed only for their measures */
+  bool is_stored = false; /* the losses may already be stored: some rollouts are computed only for
+                             their measures */
   int error = mo_condition_row_after(&store->writer, &part->condition, last);
   if (error == MO_OK && has_measures)
     error = mo_losses_are_known(&store->writer, &part->condition, genotype, &is_stored);
@@ -297,8 +298,8 @@ static int update_campaign(struct mo_connection *writer, const struct commit_arg
                    mo_real(diversity > most ? diversity : most), mo_int(commit->race_pays));
 }
 
-/* Returns whether all robots have diverged for the first time, that is, not all of the previous
- * generation. With select_by, robots without a value of the measure count, too. */
+/* Returns whether all robots of this generation diverged, but not all of the previous one. With
+ * select_by, robots without a value of the measure count, too. */
 static int all_have_diverged(struct mo_connection *writer, const struct commit_arguments *call,
                              bool *ret)
 {

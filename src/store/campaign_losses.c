@@ -30,10 +30,10 @@ int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
   return mo_sql_do(writer, sql, mo_int(id));
 }
 
-/* Words that a row's checksum covers in addition to the losses. Returns their number: origins are
- * stored only if this host did not compute everything. */
+/* Writes the words that a row's checksum covers in addition to the losses. Returns their number:
+ * origins are stored only if this host did not compute everything. */
 #define KEY_WORDS          (2 + MO_ENVIRONMENTS_MAX)
-#define MEASURES_KEY_WORDS 2 /* the checksum of measures covers these: job and place */
+#define MEASURES_KEY_WORDS 2 /* words that the checksum of measures covers: job and place */
 static size_t key_of(int64_t id, const struct mo_campaign_loss *loss, int64_t key[KEY_WORDS])
 {
   bool is_remote = false;

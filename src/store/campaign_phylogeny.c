@@ -109,7 +109,7 @@ int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t af
                       design_from_row, rows, sizeof(*rows));
 }
 
-/* until: the last generation of which it may have a result. */
+/* until: the last generation whose re-evaluation may be the result. */
 static int load_design(struct mo_connection *reader, int64_t id, uint32_t number, int64_t until,
                        struct mo_campaign_design *design)
 {
@@ -209,7 +209,8 @@ static void *take_array(char **block, size_t bytes)
   return array;
 }
 
-/* Allocates one block for n designs: the widest numbers come first, so that all are aligned.
+/* Allocates one block for n designs: the arrays of the widest numbers come first, so that all are
+ aligned.
  */
 static struct mo_campaign_columns *make_columns(size_t n, const struct mo_study_words *words)
 {
@@ -232,8 +233,8 @@ static struct mo_campaign_columns *make_columns(size_t n, const struct mo_study_
   return columns;
 }
 
-/* Reads the measures of the next design. A design lacks the measures that were introduced after
- * it. */
+/* Reads the measures of the next design. A design lacks the measures that the study introduced
+ * after it. */
 static int read_measures(sqlite3_stmt *row, int column, struct mo_campaign_columns *columns)
 {
   double measures[MO_DESIGN_MEASURES_MAX] = {0};

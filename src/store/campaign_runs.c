@@ -79,8 +79,8 @@ int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaig
 
 /* ---- checkpoints ----
  *
- * Two are kept: the state after the newest committed generation, which scored its population, and
- * the newest state within the current generation. */
+ * Two checkpoints are kept: the state after the newest committed generation, which scored its
+ * population, and the newest state within the current generation. */
 
 int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_checkpoint *checkpoint,
                                bool is_committed)

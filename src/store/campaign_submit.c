@@ -162,7 +162,7 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
 
 struct campaign_submission {
   const struct mo_campaign_request *request;
-  int64_t *found; /* the study of the request's label */
+  int64_t *found; /* the existing study with the request's label */
 };
 
 static int find_or_insert(struct mo_store *store, const void *any, int64_t *id)

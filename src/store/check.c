@@ -108,7 +108,7 @@ static int check_mean(sqlite3_stmt *row)
                                &mean);
 }
 
-/* Rows of this query are findings. */
+/* Each row of this query is a finding. */
 static int is_finding(sqlite3_stmt *row)
 {
   (void)row;

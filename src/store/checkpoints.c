@@ -149,7 +149,7 @@ int mo_checkpoints_forget(struct mo_store *store, uint64_t *n)
 static void end(struct mo_store *store, struct mo_checkpoint *checkpoint, int error)
 {
   const struct mo_file_operations *files = store->files;
-  /* After an I/O error it is unknown whether the row exists, so the file stays. */
+  /* After an I/O error it is unknown whether the row exists, so the file is kept. */
   const bool drops_new =
       error != MO_OK && error != MO_ERR_IO && checkpoint->path != NULL && !checkpoint->was_there;
   char *folder = path_of(store, checkpoint->id, checkpoint->kind, NULL);

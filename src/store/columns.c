@@ -95,7 +95,8 @@ static const struct mo_column generation_columns[] = {
     {"exhausted", FLAG, AT(variation.exhausted)},
     {"collapse", FLAG, AT(collapse)},
     {"seconds", NUMBER, AT(seconds)},
-    /* Of re-evaluations. They follow from other rows: N_HELD_OUT columns, not in bundles. */
+    /* N_HELD_OUT columns about re-evaluations. They follow from other rows, and are not in
+     * bundles. */
     {"held_out.designs", COUNT, AT(held_out.designs), "held_out_designs"},
     {"held_out.worlds", COUNT, AT(held_out.worlds), "held_out_worlds"},
     {"held_out.rollouts", LONG, AT(held_out.rollouts), "held_out_rollouts"},

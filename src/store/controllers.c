@@ -1,8 +1,8 @@
 /* controllers.c: weights, stored by content, and the names that point to them.
  *
  * A file is written under a temporary name, synced and renamed, and its folder is synced, before
- * its row is committed. So a row never refers to missing bytes. A file without a row is harmless:
- * the next upload of the same content uses it. */
+ * its row is committed. A row therefore never refers to missing bytes. A file without a row is
+ * harmless: the next upload of the same content uses it. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

@@ -1,12 +1,13 @@
 /* credible.c: see credible.h.
  *
  * If the clock were a year ahead, the service would at once delete everything that must be kept for
- * a year. So the database stores the newest time when the clock was credible. The clock may be
- * ahead of it by the time that the process has run since, plus a day, or plus a tenth of the
- * shortest retention time if that is longer: the service may have been off, or the computer may
- * have slept, while mo_clock_us stood still. If it is further ahead, an operator must confirm it
- * (mo_store_accept_clock). The times of events and jobs are not used, because a wrong clock makes
- * them wrong; only a database without a credible time starts from the newest of these times. */
+ * a year. Therefore, the database stores the newest time at which the clock was credible. The clock
+ * may be ahead of that time by the time that the process has run since, plus a day, or plus a tenth
+ * of the shortest retention time if that is longer: the service may have been off, or the computer
+ * may have slept, while mo_clock_us stood still. If it is further ahead, an operator must confirm
+ * it (mo_store_accept_clock). The times of events and jobs are not used, because a wrong clock
+ * makes them wrong; only a database without a credible time starts from the newest of these
+ * times. */
 #include "store/credible.h"
 
 #include "base/clock.h"

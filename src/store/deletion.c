@@ -96,7 +96,7 @@ static int mark(struct mo_store *store, void *arguments)
     error = mo_sql_do(writer, sql, mo_int(call->id));
   if (error == MO_OK) /* its bundle may be imported again at once */
     error = mo_sql_do(writer, import_sql, mo_int(call->id));
-  if (error == MO_OK) /* lists no longer name it */
+  if (error == MO_OK) /* lists no longer mention it */
     error = mo_sql_do(writer, verdicts_sql, mo_int(call->id));
   if (error != MO_OK)
     return error;
@@ -216,7 +216,7 @@ static int expire(struct mo_store *store, void *arguments)
 
 static void run(struct mo_store *store, int (*step)(struct mo_store *store, void *arguments));
 
-/* Continues if a step found something. */
+/* Queues the next step if this one found something to delete. */
 static void done(void *arguments, int status)
 {
   struct round *round = arguments;
@@ -230,7 +230,7 @@ static void done(void *arguments, int status)
   free(round);
 }
 
-/* Queues a step after all earlier writes. If memory runs out, the next upkeep does it. */
+/* Queues a step after all earlier writes. If memory runs out, the next upkeep queues it. */
 static void run(struct mo_store *store, int (*step)(struct mo_store *store, void *arguments))
 {
   struct round *round = malloc(sizeof(*round));
@@ -293,6 +293,7 @@ void mo_upkeep(struct mo_store *store)
   store->aged_left = EXPIRE_MAX;
   run(store, delete_some);
   run(store, expire);
-  if (store->keep_recordings_us > 0) /* without it, only new recordings make others expire */
+  if (store->keep_recordings_us > 0) /* without a retention time, only new recordings cause the
+                                        removal of old ones */
     mo_recordings_check(store);
 }

@@ -5,7 +5,7 @@
 
 #include "store/scores.h"
 
-#define ROLLOUTS_MAX 1000 /* the most rollouts reported for one design */
+#define ROLLOUTS_MAX 1000 /* largest number of rollouts reported for one design */
 
 /* ---- lists ---- */
 
@@ -209,7 +209,7 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
     }
     (*room)--;
     if (is_same && environment == last)
-      continue; /* another row computed it first */
+      continue; /* it is in another row, which was computed first */
     last = environment;
     group = (struct group){condition.controller, condition.physics, condition.fingerprint,
                            sqlite3_column_int64(statement, SET)};

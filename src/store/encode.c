@@ -25,7 +25,7 @@ int mo_decode_environment(const uint8_t *bytes, size_t size, struct mo_environme
   *environment = mo_environment_defaults;
   if (bytes == NULL)
     return MO_ERR_CORRUPT;
-  /* Its size does not identify the version: a grid can have any size. */
+  /* The size does not identify the version, because a grid can have any size. */
   for (unsigned version = 1; version <= MO_ENVIRONMENT_VERSION && error == MO_ERR_FORMAT;
        version++) {
     size_t used = 0;

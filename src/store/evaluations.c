@@ -152,7 +152,7 @@ static int load_part(struct mo_connection *reader, const struct result_keys *key
 }
 
 /* Reads the stored losses that count for the key's genotype into row `n` of the results. counted:
- * of the first part, the only one unless all count. */
+ * the environments of the first part that count; there are several parts only if all count. */
 static int load_losses(struct mo_connection *reader, const struct result_keys *keys, size_t n,
                        uint64_t counted, struct mo_evaluation_results *results)
 {
@@ -203,7 +203,7 @@ static int estimate_error(struct mo_connection *reader, const struct result_keys
   double losses[MO_ERROR_RUNS_MAX * MO_ENVIRONMENTS_MAX];
   memcpy(losses, &results->losses[n * columns], columns * sizeof(*losses));
   for (uint32_t k = 0; k < columns; k++)
-    if (isnan(losses[k])) { /* nothing to estimate yet */
+    if (isnan(losses[k])) { /* there is nothing to estimate yet */
       results->errors[n] = mo_score_error_unknown();
       return MO_OK;
     }
@@ -230,14 +230,14 @@ static int climb(struct mo_connection *reader, struct result_keys *keys, size_t 
     const int error = load_runs(reader, keys, columns, first, first + n_runs, losses);
     if (error != MO_OK)
       return error;
-    if (has_unknown(losses, n_runs * columns)) /* the next rung was not computed yet */
+    if (has_unknown(losses, n_runs * columns)) /* the next rung is not computed yet */
       break;
     climbed->errors[rung] = mo_score_error_of(losses, keys->n_displaced, columns, keys->integrator);
     climbed->scores[rung] = mean_of(losses, columns);
     climbed->climb = mo_ladder_climb(climbed->errors, ++climbed->n, results->tolerance);
   }
-  /* A repair of wrong losses can move a design that ended here to a rung that was never computed:
-   * then the computed ones count, as if there were no others. */
+  /* After a repair of wrong losses, a design that ended here may need a rung that was never
+   * computed. In that case, the computed rungs count, as if there were no others. */
   const bool has_ended = climbed->n == MO_LADDER_RUNGS || climbed->climb.reached ||
                          (keys->is_complete && climbed->n > 0);
   if (!has_ended)
@@ -380,7 +380,7 @@ static int load_paths(struct mo_connection *reader, const struct range *range,
   return error;
 }
 
-/* Computes the mean of a row's losses, where unknown ones of a lower bound count as 0. */
+/* Computes the mean of a row's losses. In a lower bound, unknown losses count as 0. */
 static void finish_score(struct mo_evaluation_results *results, uint32_t n)
 {
   const double *losses = &results->losses[(size_t)n * results->n_environments];
@@ -482,7 +482,7 @@ int mo_store_result(struct mo_store *store, int64_t id, uint32_t n,
 
 /* ---- trajectories ---- */
 
-/* Columns 4 to 7 of a row have the channels, in their order. */
+/* Columns 4 to 7 of a row contain the channels, in their order. */
 #define FIRST_CHANNEL 4
 
 /* key: evaluation, design, environment. */

@@ -50,7 +50,7 @@ static void each(const struct mo_store *store, bool (*see)(void *context, const 
         fstatat(dirfd(folder), entry->d_name, &status, AT_SYMLINK_NOFOLLOW) != 0 ||
         !S_ISREG(status.st_mode))
       continue;
-    memcpy(file.name, entry->d_name, sizeof(file.name)); /* its length was compared */
+    memcpy(file.name, entry->d_name, sizeof(file.name)); /* the length of the name was checked */
     file.bytes = (uint64_t)status.st_size;
     file.used = status.st_mtim;
     goes_on = see(context, &file);

@@ -45,7 +45,7 @@ static const struct mo_field stored_training_rows[] = {
      .help = ""},
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_training_record_fields},
 };
-/* The same for a training run in its own environments, which have their own rows. */
+/* The rows of a training run in its own environments. */
 static const struct mo_field stored_own_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0,
      .group = &(const struct mo_fields)MO_FIELDS(stored_training_rows)},
@@ -62,7 +62,7 @@ static const struct mo_field stored_each_rows[] = {
     {"keep_best", MO_FIELD_COUNT, 0, AT(keep_best), .min = 0, .max = MO_TRAINING_DESIGNS_MAX,
      .unit = "", .help = ""},
 };
-/* Of the first two, a training run has the second if it has its own environments. */
+/* A training run has the first of these or, if it has its own environments, the second. */
 enum { DRAWN_WORLDS, OWN_WORLDS, EACH, SAMPLE, N_TRAINING_ROWS };
 static const struct mo_field all_training_rows[N_TRAINING_ROWS] = {
     [DRAWN_WORLDS] = {NULL, MO_FIELD_INLINE, 0, 0,
@@ -74,7 +74,7 @@ static const struct mo_field all_training_rows[N_TRAINING_ROWS] = {
     [SAMPLE] = {"sample", MO_FIELD_GROUP, 0, AT(sample), .group = &mo_atlas_sample_fields,
                 .unit = "", .help = ""},
 };
-/* All that can be read. */
+/* All rows that can be read. */
 static const struct mo_fields stored_training = {&all_training_rows[OWN_WORLDS],
                                                  N_TRAINING_ROWS - OWN_WORLDS};
 #undef AT
@@ -163,8 +163,8 @@ static void write_training(const struct mo_training_record *record, struct mo_te
   write_those(all_training_rows, has, N_TRAINING_ROWS, record, text);
 }
 
-/* Writes only members that the campaign uses: the settings of all others keep the form that they
- * always had, which bundles use, too. */
+/* Writes only members that the campaign uses: the settings of other campaigns keep their original
+ * form, which bundles use, too. */
 static void write_campaign(const struct mo_campaign_record *record, struct mo_text *text)
 {
   const bool measured = record->measures != 0;
@@ -197,7 +197,7 @@ static int read_stored(const char *json, const struct mo_fields *fields, void *r
 
 /* Only a campaign that learns has worlds to learn in. A study re-evaluates nothing. Only a study
  * has an own score, unless it follows from the measure to select by, which is among the measures.
- * An own score has no aggregate, and without lower bounds, racing is off. */
+ * An own score has no aggregate; it also has no lower bounds, so racing is off. */
 static bool is_consistent(const struct mo_campaign_record *record)
 {
   const struct mo_aggregate *aggregate = &record->settings.aggregate;

@@ -107,7 +107,8 @@ int mo_file_write_checked(struct mo_store *store, const char *folder, const char
 {
   const struct mo_file_operations *files = store->files;
   char *temporary;
-  if (check == NULL && has_bytes(path, bytes, size)) /* a crash may have left it without its row */
+  if (check == NULL && has_bytes(path, bytes, size)) /* a crash may have left the file without its
+                                                        row */
     return mo_folder_sync(store, folder);
   if (asprintf(&temporary, "%s/.tmp-%u", folder, atomic_fetch_add(&store->file_counter, 1)) < 0)
     return MO_ERR_NO_MEMORY;
@@ -125,8 +126,8 @@ int mo_file_write_checked(struct mo_store *store, const char *folder, const char
   return error == MO_OK ? mo_folder_sync(store, folder) : error;
 }
 
-/* A failure is fatal: a later fsync of the folder may succeed without the name that this one lost,
- * although the file is visible until then. */
+/* A failure is fatal: a later fsync of the folder may succeed without writing the name that this
+ * one lost, although the file is visible until then. */
 int mo_folder_sync(struct mo_store *store, const char *path)
 {
   const struct mo_file_operations *files = store->files;

@@ -1,9 +1,9 @@
 /* folder.c: checks the owner of the state folder, and locks it for one process.
  *
- * A user who can write to the folder, or choose where its name leads, can make the service
- * overwrite files or trust data that it never stored. So the folder and its contents must belong to
- * the user of the process. The folder is opened once; the checks use that descriptor, and so does
- * the lock: a lock on a file in the folder is lost when the file is deleted. */
+ * A user who can write to the folder, or choose where its path leads, can make the service
+ * overwrite files or trust data that it never stored. The folder and its contents must therefore
+ * belong to the user of the process. The folder is opened once; the checks use that descriptor, and
+ * so does the lock: a lock on a file in the folder is lost when the file is deleted. */
 #include <errno.h>
 #include <fcntl.h>
 #include <stdlib.h>

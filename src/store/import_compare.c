@@ -85,7 +85,7 @@ int mo_compare_design(struct mo_store *store, struct mo_import_comparison *rows,
 /* Returns the place of a class in the bundle's list; n_classes if it is not there. */
 static uint32_t find_class(const struct mo_import_comparison *rows, const char *fingerprint)
 {
-  uint32_t i = rows->n_classes; /* most lines have the newest one */
+  uint32_t i = rows->n_classes; /* most lines have the same class as the previous one */
   while (i > 0 && strcmp(rows->classes[i - 1], fingerprint) != 0)
     i--;
   return i > 0 ? i - 1 : rows->n_classes;

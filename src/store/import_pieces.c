@@ -19,7 +19,7 @@
 
 enum kind { DESIGN, GENERATION, HELD_OUT, STEP, SCORE, ROLLOUT };
 
-/* Followed by what the row refers to. */
+/* Followed by the data to which the row refers. */
 struct row {
   size_t bytes; /* with all that follows */
   enum kind kind;
@@ -125,7 +125,8 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
   return MO_OK;
 }
 
-/* Writes a copied score. Its pointer is set only now, because the rows may have moved. */
+/* Writes a copied score. The pointer in it is set only now, because the rows may have been
+ * moved. */
 static int enter_score(struct mo_import *import, struct row *row)
 {
   if (row->score.measures != NULL)

@@ -333,7 +333,7 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
         PAGES(select, where " AND j.submitted_by=?8 AND j.label=?7")                               \
   }
 
-/* Queries that find few jobs by an index; the other conditions are checked row by row. */
+/* Queries that find a few jobs by an index, and check the other conditions row by row. */
 #define NARROWED(select, where)                                                                    \
   PAGES(select,                                                                                    \
         where " AND (?4<0 OR +j.kind=?4) AND (?7 IS NULL OR (+j.label>=?7 AND +j.label<=?10))"     \
@@ -376,7 +376,7 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
 {
 #define JOBS       "SELECT j.id FROM jobs j"
 #define JOBS_BY(x) JOBS " INDEXED BY jobs_" x
-  /* Any job; jobs of a kind. */
+  /* For any job; for jobs of a kind. */
   static const char *const sql[2][4][3] = {FILTERED(JOBS, "TRUE"), FILTERED(JOBS, "j.kind=?4")};
   enum { GROUP, EXPERIMENT, LABEL, ARCHIVED };
   static const char *const narrowed[][3] = {

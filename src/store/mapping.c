@@ -2,8 +2,8 @@
  *
  * SQLite extends its log's index by writing one byte per 4 KiB, and then writes to the index
  * through a mapping. On a file system with smaller blocks, the rest of the file is holes, and on a
- * full disk a write to a hole kills the process with SIGBUS. So this file allocates the space
- * before the mapping, and a full disk becomes an ordinary error. */
+ * full disk a write to a hole kills the process with SIGBUS. The functions below allocate the space
+ * before the mapping, so that a full disk becomes an ordinary error. */
 #include <errno.h>
 #include <fcntl.h>
 #include <sys/mman.h>
@@ -19,7 +19,7 @@ static void *map_with_room(void *at, size_t size, int protection, int flags, int
                   ? posix_fallocate(fd, offset, (off_t)size)
                   : 0;
   if (map_error != ENOSPC &&
-      map_error != EDQUOT) { /* other errors: the file system cannot allocate */
+      map_error != EDQUOT) { /* other errors mean that the file system cannot allocate space */
     mapped = mmap(at, size, protection, flags, fd, offset);
     map_error = mapped == MAP_FAILED ? errno : 0;
   }

@@ -1,8 +1,9 @@
 /* open.c: opens and closes a state folder, and brings its schema up to date.
  *
- * Order: folder and its lock (folder.c), database, application id and version, quick_check after an
- * unclean stop, schema, epoch, readers, reserve, writer. Only SQLite opens the database file:
- * closing it elsewhere would drop SQLite's locks. On a full disk, opening uses the reserve. */
+ * Opening proceeds in this order: folder and its lock (folder.c), database, application id and
+ * version, quick_check after an unclean stop, schema, epoch, readers, reserve, writer. Only SQLite
+ * opens the database file: closing it elsewhere would drop SQLite's locks. On a full disk, opening
+ * uses the reserve. */
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
@@ -63,7 +64,7 @@ static int refuse_without_database(const struct mo_store *store, struct mo_messa
       has_files ? store->orphans.first : "morphod.db-wal", store->path);
 }
 
-/* Checks that the database is not missing, before anything is created or removed. A first start
+/* Before anything is created or removed, checks that the database is not missing. A first start
  * that was killed leaves no other files, because the database is created first. SQLite writes the
  * log after the database's first page, and deletes a log without a database. */
 static int check_for_database(struct mo_store *store, struct mo_message *message)
@@ -79,8 +80,8 @@ static int check_for_database(struct mo_store *store, struct mo_message *message
   return MO_OK;
 }
 
-/* If a check cannot load a page, because memory is short or a read failed, it reports this like
- * damage, in a row that ends with SQLite's code. */
+/* If a check cannot load a page, because memory is short or a read failed, it reports this in the
+ * same way as damage: in a row that ends with SQLite's error code. */
 static int finding_error(struct mo_connection *connection, const char *text)
 {
   static const char mark[] = "error code=";
@@ -195,7 +196,7 @@ static int read_header(struct mo_store *store, struct header *header)
 /* Begins a new history, unless this database was closed by the last process that used this folder:
  * then the database and the file `lock`, which every opening changes, agree on the time of its last
  * change. Numbers may be assigned a second time in a new history, so identifiers for clients
- * include the history. The numbers of events jump, so that numbers of lost events are not
+ * include the history. The numbers of events skip ahead, so that numbers of lost events are not
  * reused. */
 static int follow_history(struct mo_store *store, struct mo_connection *writer)
 {
@@ -471,7 +472,7 @@ void mo_store_close(struct mo_store *store)
     return;
   mo_writer_stop(store);
   if (atomic_load(&store->is_fatal)) {
-    /* Leave recovery to the next opening, which reads the actual content of the disk rather than
+    /* Leave recovery to the next opening, which reads what is actually on the disk, rather than
      * this process's view of it. */
     (void)sqlite3_db_config(store->writer.db, SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, NULL);
   } else {

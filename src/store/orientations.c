@@ -9,7 +9,7 @@
 #include "store/designs.h"
 #include "store/scores.h"
 
-/* The rows for struct mo_orienting. */
+/* The rows of the conditions in struct mo_orienting. */
 struct scored_under {
   struct mo_saved_design design; /* except its genotype */
   int64_t environments[MO_SUITE_ENVIRONMENTS_MAX];

@@ -1,5 +1,5 @@
-/* origins.c: see origins.h. An index by origin would cost space in every score, so there is no such
- * index: a page visits a bounded number of rows in the order of their key. */
+/* origins.c: see origins.h. An index by origin would take space for every score, so there is none:
+ * a page visits a bounded number of rows in the order of their key. */
 #include "store/origins.h"
 
 #include <math.h>
@@ -45,7 +45,7 @@ static int read_measures(struct mo_connection *connection, struct mo_origin_plac
   return mo_measures_from_row(found, 0, condition, measures->values, n_measures);
 }
 
-/* Reads what rollouts depend on in addition to their environments. */
+/* Reads the inputs that rollouts depend on in addition to their environments. */
 static int read_inputs(struct mo_connection *reader, struct mo_origin_row *row)
 {
   static const char sql[] =
@@ -119,7 +119,8 @@ int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
                                          sqlite3_column_int64(row, 1)};
     const int losses = sqlite3_column_int(row, 2); /* −1: a row of measures */
     const bool is_again = losses < 0 && here.genotype == place->genotype &&
-                          here.condition == place->condition; /* its losses came before it */
+                          here.condition == place->condition; /* its losses were in the row before
+                                                                 it */
     const bool has_losses = losses > 0, has_measures = sqlite3_column_int(row, 3) != 0;
     *place = here;
     if (!is_again && (has_losses || has_measures))
@@ -223,7 +224,7 @@ static int replace_row(struct mo_store *store, const struct mo_origin_row *row, 
   static const char version_sql[] =
       "UPDATE jobs SET " MO_NEXT_VERSION
       " WHERE id IN (SELECT job FROM evaluations WHERE controller=?1 AND"
-      " (physics=?2 OR n_displaced>0))"; /* whose other runs have different physics */
+      " (physics=?2 OR n_displaced>0))"; /* the other runs of these have different physics */
   struct mo_connection *writer = &store->writer;
   sqlite3_stmt *found;
   int error = MO_OK;

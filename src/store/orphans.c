@@ -3,7 +3,7 @@
  * Opening removes only files that this program itself leaves behind: unfinished files, which have
  * unique names; checkpoints without rows, if the database has their job; and excluded bodies of
  * deleted controllers. Any other file may be the last copy of its data, for example if the database
- * was replaced. It stays until mo_store_clean. */
+ * was replaced. It is kept until mo_store_clean removes it. */
 #include <errno.h>
 #include <fts.h>
 #include <stdio.h>

@@ -1,10 +1,10 @@
 /* recordings.c: stores recordings of evaluations, and removes them in three cases: on request;
- * starting with the oldest evaluation, as long as all recordings exceed max_recordings; and, with
- * keep_recordings, if the evaluation ended longer ago, has no note and is not archived. Recordings
- * of unfinished evaluations stay, because a restart continues from them.
+ * while all recordings together exceed max_recordings, starting with the oldest evaluation; and if
+ * the evaluation ended longer than keep_recordings ago, has no note and is not archived. Recordings
+ * of unfinished evaluations are kept, because a restart continues from them.
  *
- * The row of each evaluation has the bytes of its recordings, and `meta` has the sum. Every change
- * to recordings updates both in the same transaction. */
+ * The row of each evaluation states the size of its recordings, and `meta` the sum. Every change to
+ * recordings updates both in the same transaction. */
 #include "store/recordings.h"
 
 #include <math.h>
@@ -202,7 +202,7 @@ void mo_recordings_check(struct mo_store *store)
 {
   struct removal *removal = calloc(1, sizeof(*removal));
   if (removal == NULL)
-    return; /* the next check does it */
+    return; /* the next check removes it */
   removal->store = store;
   if (mo_write_later(store, remove_oldest, removal, checked) != MO_OK)
     free(removal);

@@ -1,5 +1,5 @@
-/* reserve.c: disk space that is set aside, so that clients can still pause, cancel and delete when
- * the disk is full, and a start succeeds.
+/* reserve.c: disk space that is set aside so that, on a full disk, clients can still pause, cancel
+ * and delete, and the service can start.
  *
  * The reserve is a file of 4 MiB; a change of a job's state takes about 20 KiB of the log. An
  * urgent operation that fails for lack of space empties the file and is rerun. From then on, the
@@ -24,7 +24,7 @@ void mo_reserve_make(struct mo_store *store)
     return;
   store->next_reserve_us = now + RETRY_US;
   int fd = open(store->reserve_path, O_WRONLY | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
-  /* Also allocates the holes that the file may have in a copy of the folder. */
+  /* This also fills holes, which the file may have in a copy of the folder. */
   int error = fd < 0 ? errno : posix_fallocate(fd, 0, RESERVE_BYTES);
   if (fd >= 0 && error != 0)
     (void)ftruncate(fd, 0); /* release what the failed call allocated */

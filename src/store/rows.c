@@ -67,8 +67,8 @@ static void make_statement(const struct table *table, int which, struct mo_text 
   if (which == NEWEST) {
     mo_text_format(sql, " ORDER BY 1 DESC LIMIT 1");
   } else if (which == STRIDE) {
-    /* Looks up each multiple: in a million rows, reading all rows between takes a third of a
-     * second. */
+    /* Looks up each multiple separately: reading all rows in between would take a third of a second
+     * for a million rows. */
     mo_text_format(
         sql,
         " AND %1$s IN (WITH RECURSIVE wanted(at) AS (SELECT (?2/?3+1)*?3 UNION ALL"
@@ -107,7 +107,7 @@ int mo_rows_create(struct mo_connection *writer)
   return error;
 }
 
-/* Adds a column, with 0 or no number in the rows that exist, unless the table has it. */
+/* Adds a column, unless the table has it. Existing rows get 0, or no number. */
 static int extend(struct mo_connection *writer, const struct table *table,
                   const struct mo_column *column)
 {

@@ -156,7 +156,7 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
       "EXISTS(SELECT 1 FROM checkpoints WHERE job=j.id AND stored_us>?1) OR "
       "EXISTS(SELECT 1 FROM campaign_generations WHERE job=j.id AND stored_us>?1) OR "
       "EXISTS(SELECT 1 FROM training_bodies WHERE job=j.id AND stored_us>?1) OR "
-      /* Losses have no time of their own; this event is committed with some of them. */
+      /* Losses have no timestamp; this event is committed together with some of them. */
       "EXISTS(SELECT 1 FROM events WHERE job=j.id AND time_us>?1 AND type='campaign.progress'"
       " AND data LIKE '%\"phase\":\"scoring\"%') OR "
       "EXISTS(SELECT 1 FROM events WHERE job=j.id AND time_us>?1 AND type='atlas.progress'),"
@@ -230,7 +230,7 @@ int mo_store_origin(struct mo_store *store, const char *text, int64_t *id)
 
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts)
 {
-  /* The factor is mo_ladder_cost: 31 for the rungs. */
+  /* The factor is mo_ladder_cost, which is 31 for all rungs. */
   static const char sql[] =
       "SELECT count(*),coalesce(sum((e.n_designs-e.n_skipped)*e.n_environments"
       "*iif(e.n_displaced>0,e.n_displaced+3,1)*iif(e.tolerance>0,31,1)),0) FROM jobs j"

@@ -59,7 +59,7 @@ int mo_job_step(struct mo_store *store, struct mo_job_update *update, enum mo_jo
     return error == MO_ERR_NOT_FOUND ? MO_ERR_CONFLICT : error;
   update->state = (enum mo_job_state)sqlite3_column_int(row, 0);
   *kind = (enum mo_job_kind)sqlite3_column_int(row, 1);
-  (void)sqlite3_reset(row); /* ends the change */
+  (void)sqlite3_reset(row); /* ends the statement that changed rows */
   return MO_OK;
 }
 

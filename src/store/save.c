@@ -2,9 +2,10 @@
  * of jobs.
  *
  * Updates of a job are fenced: they apply only to a job that runs under this opening of the store
- * (its epoch). So a job that a client has cancelled or paused in the meantime keeps that state.
- * Scores are stored in any case, because they are valid. So are the counts of an unfinished job;
- * otherwise blocks that finish after a pause would be attributed to other jobs. */
+ * (its epoch). A job that a client has cancelled or paused in the meantime therefore keeps that
+ * state. Scores are stored in any case, because they are valid. The counts of an unfinished job are
+ * also stored in any case; otherwise, blocks that finish after a pause would be attributed to other
+ * jobs. */
 #include "store/measures.h"
 #include "store/recordings.h"
 #include "store/runs.h"
@@ -25,7 +26,7 @@ static int apply_counts(struct mo_connection *writer, const struct mo_job_update
                          mo_int((int64_t)update->cut));
 }
 
-/* For designs that were cut short, stores the losses that count. */
+/* For designs that were cut short, stores which losses count. */
 static int set_counted(struct mo_connection *writer, const struct mo_job_update *update)
 {
   static const char sql[] = "UPDATE job_designs SET counted=?3 WHERE job=?1 AND position=?2";

@@ -50,7 +50,7 @@ void mo_score_block_free(struct mo_score_block *block)
 
 /* ---- the tables of a block. MO_ERR_LIMIT: the block is full ---- */
 
-/* Marks the block to carry the weights of a controller; it has room for one. */
+/* Marks the block to include the weights of a controller; a block has room for one. */
 static int send_weights(struct mo_score_walk *walk, struct mo_score_block *block,
                         const struct mo_sha256 *sha256)
 {
@@ -68,7 +68,7 @@ static int send_weights(struct mo_score_walk *walk, struct mo_score_block *block
     walk->room = room;
   }
   walk->sent[walk->n_sent++] = block->weights_sha256 = *sha256;
-  block->weights_size = 1; /* until they are read */
+  block->weights_size = 1; /* a placeholder until they are read */
   return MO_OK;
 }
 

@@ -73,8 +73,8 @@ static int import_tables(struct mo_store *store, struct entry *entry)
 
 /* ---- a score ---- */
 
-/* Finds the named set that contains environments of the condition; only the paper's test set
- * can. */
+/* Finds the named set that contains environments of the condition; this can only be the paper's
+ * test set. */
 static int find_set(struct mo_connection *writer, struct entry *entry)
 {
   static const char sql[] =
@@ -164,7 +164,8 @@ static void note_difference(struct entry *entry, uint32_t i, const struct mo_sco
   for (uint32_t k = 0; k < score->n; k++) {
     row->environments[k] = block->environments[score->environments[k]];
     mo_environment_hash(&row->environments[k], &row->environment_sha256[k]);
-    row->environments[k].grid = NULL; /* the block's; differences may outlive it */
+    row->environments[k].grid = NULL; /* the grid belongs to the block, which differences may
+                                         outlive */
     row->again.losses[k] = score->losses[k];
     row->again.diverged_steps[k] = score->diverged_steps[k];
     row->stored.losses[k] = stored[k].known ? stored[k].loss : score->losses[k];

@@ -16,7 +16,7 @@ _Static_assert(MO_BLOCK_LANES == 16, "the schema limits the length of rows");
 
 /* ---- packed losses ---- */
 
-/* A permutation of h for each word, and of the word for each h. */
+/* A permutation of h for any fixed word, and of the word for any fixed h. */
 static uint64_t mix(uint64_t h, uint64_t word)
 {
   h = (h ^ word) * UINT64_C(0x9E3779B97F4A7C15);
@@ -302,7 +302,7 @@ static int insert_block(struct mo_store *store, const struct mo_saved_block *blo
     all_known = all_known && is_known;
   }
   if (error == MO_OK && block->measures != NULL &&
-      block->verify_job == 0) /* possibly computed only for these */
+      block->verify_job == 0) /* it may have been computed only for its measures */
     error = mo_losses_are_known(&store->writer, &condition, block->genotype, &all_known);
   if (error != MO_OK || all_known)
     return error;

@@ -33,7 +33,7 @@ int mo_sql_error(sqlite3 *db, int code)
     if (code == SQLITE_IOERR_NOMEM)
       return MO_ERR_NO_MEMORY;
     if (code == SQLITE_IOERR_SHMSIZE) /* the log's index, which need not be durable, could not grow;
-                                       * errno has changed since */
+                                       * errno has changed since then */
       return MO_ERR_NO_SPACE;
     if (code == SQLITE_IOERR_SHMMAP)
       return mo_mapping_error();
@@ -46,7 +46,8 @@ int mo_sql_error(sqlite3 *db, int code)
   case SQLITE_CANTOPEN:
     system_error = db != NULL ? sqlite3_system_errno(db) : 0;
     return system_error == EMFILE || system_error == ENFILE ? MO_ERR_NO_MEMORY
-                                                            : MO_ERR_IO; /* as for other files */
+                                                            : MO_ERR_IO; /* same as for other
+                                                                            files */
   default: return MO_ERR_IO;
   }
 }
@@ -158,7 +159,7 @@ static sqlite3_stmt *prepared(struct mo_connection *connection, const char *sql,
   int result =
       sqlite3_prepare_v3(connection->db, sql, -1, SQLITE_PREPARE_PERSISTENT, &statement, NULL);
   if (result != SQLITE_OK) {
-    /* If a statement does not fit the schema, the schema does not match its version. */
+    /* If a statement does not fit the schema, the schema is not that of its version. */
     *error =
         (result & 0xff) == SQLITE_ERROR ? MO_ERR_CORRUPT : mo_sql_error(connection->db, result);
     return NULL;

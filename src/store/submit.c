@@ -273,7 +273,7 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
                             (long long)*id,
                             (unsigned long long)request->n_designs * (uint64_t)sets.n_environments *
                                 mo_ladder_runs(request->n_displaced, request->tolerance));
-  /* Most submissions cannot have a warning, and need not be read back. */
+  /* Most submissions cannot cause a warning, so they are not read back. */
   return error == MO_OK && (sets.n == 0 || warns) ? mo_run_announce_warnings(store, *id, true)
                                                   : error;
 }

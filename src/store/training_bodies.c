@@ -20,7 +20,7 @@ struct writing {
   const struct mo_training_body *body;
   const char *name;              /* of the training run's controllers */
   struct mo_controller_put *put; /* NULL: its controller is not kept */
-  /* The kept one that it displaces, if there is one. */
+  /* The kept controller that it displaces, if any. */
   bool displaces;
   int64_t displaced;
   struct mo_sha256 displaced_sha256;
@@ -32,8 +32,8 @@ static void name_of(const char *name, int64_t position, char text[NAME_BYTES])
   snprintf(text, NAME_BYTES, "%s-%lld", name, (long long)position);
 }
 
-/* Decides whether the controller is kept, and which one it displaces: the worst kept one, of equal
- * ones the last. */
+/* Decides whether the controller is kept, and which one it displaces: the worst one that is kept
+ * and, among equal ones, the last. */
 static int choose(struct mo_store *store, const struct mo_training_record *record,
                   struct writing *call, bool *keeps)
 {
@@ -143,7 +143,7 @@ int mo_store_training_body(struct mo_store *store, int64_t id,
     error = mo_checkpoint_write(store, NULL, &call.checkpoint, write_body, &call);
   mo_controller_put_end(store, &put);
   if (error == MO_OK && call.displaces) {
-    /* If something refers to it, it stays; after an error, it is an unused file. */
+    /* If something refers to the file, it stays; after an error, it remains as an unused file. */
     snprintf(displaced, sizeof(displaced), "sha256:%s", MO_SHA256_HEX(&call.displaced_sha256));
     (void)mo_store_controller_delete(store, displaced, &message);
   }

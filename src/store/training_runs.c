@@ -86,8 +86,8 @@ struct checkpoint_arguments {
 
 static int write_checkpoint(struct mo_store *store, void *arguments)
 {
-  /* Resets the attempts when a checkpoint goes beyond all earlier ones, because that is progress.
-   * An error that recurs at the same step prevents that, so the third attempt still ends the
+  /* Resets the attempts when a checkpoint is beyond all earlier ones, because that is progress. An
+   * error that recurs at the same step prevents progress, so the third attempt still ends the
    * run. */
   static const char forgive_sql[] =
       "UPDATE jobs SET attempts=0 WHERE id=?1 AND attempts>0 AND"
@@ -133,10 +133,10 @@ int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint3
 
 /* ---- which code computed the steps ----
  *
- * Each change has one row: starting at this step, this fingerprint. Before its first step, a run
- * stores its code under its starting step, and deletes the later rows, because it recomputes their
- * steps. So after any crash, the rows below a step describe the weights at that step, and a run
- * that computes no step leaves no row. */
+ * Each change has one row: a step, and the fingerprint of the code that computed the steps after
+ * it. Before its first step, a run stores its code under its starting step, and deletes the later
+ * rows, because it recomputes their steps. After any crash, the rows below a step therefore
+ * describe the weights at that step, and a run that computes no step leaves no row. */
 
 #define VARIOUS "various"
 

@@ -1,4 +1,4 @@
-/* trainings.c: submits and reads training runs; the designs of populations. */
+/* trainings.c: submits and reads training runs, and reads the designs of populations. */
 #include "store/trainings.h"
 
 #include <math.h>

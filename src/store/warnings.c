@@ -33,7 +33,8 @@ warn(struct mo_job *job, const char *code, const char *format, ...)
 
 /* ---- robots that diverged ---- */
 
-/* While the evaluation runs, the remaining rollouts may not diverge. */
+/* Only a final evaluation can have all its rollouts diverged: before that, the remaining ones may
+ * not diverge. */
 static void warn_of_rollouts(struct mo_job *job)
 {
   const uint64_t run = job->rollouts_done - job->rollouts_cut, diverged = job->rollouts_diverged;
@@ -119,7 +120,7 @@ static uint32_t warn_of_dt(const struct mo_physics *physics, const char *where,
     return 0;
   const double stable_s = mo_stable_step_s(physics, MO_EIGENVALUE_MAX);
   *warning = (struct mo_warning){.code = "unstable_step", .of_request = true};
-  /* Moving bodies fail a little below the bound (docs/numerics.md, "Stable steps"). */
+  /* Moving bodies become unstable a little below the bound (docs/numerics.md, "Stable steps"). */
   snprintf(warning->detail, sizeof(warning->detail),
            "dt_s %.6g exceeds the linear stability bound of %.3g for stiffness_n_per_m %.6g, "
            "mass_kg %.6g, drag_per_s %.6g%s and integrator %s: expect bodies to blow up; use a "
@@ -189,8 +190,8 @@ uint32_t mo_warn_of_world(const struct mo_physics *physics,
   return warn_of_dt(&here, where, warning);
 }
 
-/* Warns about the least stable of the worlds that learning draws: stiff and light, with the lowest
- * or the highest drag. */
+/* Warns about the least stable of the worlds that learning draws: the stiffest and lightest, with
+ * the lowest or the highest drag. */
 static void warn_of_vary(struct mo_job *job, const struct mo_factor_ranges *vary)
 {
   if (!vary->given || !mo_step_is_stable(&job->physics, MO_EIGENVALUE_MAX))
@@ -220,7 +221,7 @@ static int warn_of_worlds(struct mo_connection *connection, struct mo_job *job, 
   double nearest_m = INFINITY;
   uint32_t nearest = 0, n = 0, unstable = 0;
   int error = MO_OK;
-  if (job->environment_set[0] != '\0') /* named sets deserve no warning */
+  if (job->environment_set[0] != '\0') /* named sets cause no warning */
     return MO_OK;
   sqlite3_stmt *row = mo_sql_rows(connection, &error, sql, mo_int(owner));
   while (mo_sql_next(connection, row, &error)) {

@@ -2,14 +2,14 @@
  *
  * Operations wait in a list. The writer takes a batch, runs each operation in a savepoint of one
  * transaction, commits once, and then releases the callers, so that under load one fsync serves
- * many. A failed operation rolls back only itself. When SQLite rolls back the whole transaction
- * (disk full, out of memory), or the commit fails for lack of space, each operation runs again in
- * its own transaction, so that an operation that is too large does not make the others fail. An
- * urgent operation may use the reserve (reserve.c).
+ * many operations. If an operation fails, only its own changes are rolled back. When SQLite rolls
+ * back the whole transaction (disk full, out of memory), or the commit fails for lack of space,
+ * each operation runs again in its own transaction, so that an operation that is too large does not
+ * make the others fail. An urgent operation may use the reserve (reserve.c).
  *
  * Any other I/O error is fatal at once. After a failed fsync the content of the disk is unknown,
- * and a second fsync may succeed without having written. So nothing is retried: the process must
- * exit and recover from the log. */
+ * and a second fsync may succeed without having written. Therefore, nothing is retried: the process
+ * must exit, and the next one recovers from the log. */
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -254,7 +254,7 @@ static void prune(struct mo_store *store)
   if (error == MO_OK)
     error = mo_sql_do(writer, events_sql, mo_int((int64_t)store->events_kept));
   if (error == MO_OK && sqlite3_changes(writer->db) > 0)
-    store->events_since_prune = PRUNE_EVERY; /* there may be more: prune again soon */
+    store->events_since_prune = PRUNE_EVERY; /* there may be more old rows: prune again soon */
   if (error == MO_OK)
     error = mo_sql_do(writer, keys_sql, mo_int(mo_clock_wall_us() - store->idempotency_keep_us));
   if (error == MO_OK)
@@ -296,7 +296,7 @@ static void checkpoint(struct mo_store *store)
   int result = sqlite3_wal_checkpoint_v2(db, NULL, mode, NULL, NULL);
   abandon(store, mo_sql_error(db, result));
   sqlite3_busy_timeout(db, MO_BUSY_MS);
-  store->wal_frames = 0; /* the hook recounts at the next commit */
+  store->wal_frames = 0; /* the hook counts again at the next commit */
 }
 
 static void maintain(struct mo_store *store)

@@ -259,7 +259,7 @@ MO_COURSE void course_begin(struct mo_course *course, const struct mo_environmen
   case MO_OBJECTIVE_TRAVEL:
   case MO_OBJECTIVE_FOLLOW: course->scale_m = MO_COURSE_TRAVEL_M; break;
   case MO_OBJECTIVE_CLIMB: course->scale_m = MO_COURSE_CLIMB_M; break;
-  default: course->scale_m = 1; /* the host has the loss */
+  default: course->scale_m = 1; /* the host computes the loss */
   }
 }
 
