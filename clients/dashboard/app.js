@@ -10,8 +10,8 @@ import { callerName, whoAmI, whyNot } from './lib/rights.js';
 import { TASKS, taskOf } from './lib/tasks.js';
 import { tray } from './lib/tray.js';
 
-/** The views; under: the entry in the bar to mark for a view that has none; hasTask: its scores are
- * for the task in the bar. */
+/** The views; under: the entry in the bar to mark for a view without its own entry; hasTask: its
+ * scores are for the task in the bar. */
 const VIEWS = {
   home: { name: 'Home', module: './views/home.js', title: 'Home', hasTask: true },
   overview: { name: 'Service', module: './views/overview.js' },
@@ -48,7 +48,7 @@ function placeOf() {
     other = `certificates/${rest}`;
   } else if (name === 'editor') {
     other = `lab${query ? `?${query}` : ''}`;
-  } else if (name === 'overview' && query) { // it had a list with filters
+  } else if (name === 'overview' && query) { // earlier versions had a list with filters there
     const label = parameters.get('label');
     if (label) parameters.set('search', label);
     parameters.delete('label');
@@ -78,7 +78,7 @@ function load(module) {
 /** Storage key of the task, while the tab is open. */
 const TASK_KEY = 'morphod-task';
 
-/** The page's functions and state that views use. */
+/** Functions and state of the page that views use. */
 export const app = {
   events: new Events(),
   /** @type {'dark'|'light'} */
@@ -272,11 +272,12 @@ class Frame {
     this.view = null;
     this.onTray = () => this.showTray();
     tray.listeners.add(this.onTray);
-    history.scrollRestoration = 'manual'; // the page fills up after the browser would have scrolled
+    history.scrollRestoration = 'manual'; // the page gets its content after the browser would have
+                                          // scrolled
     addEventListener('scroll', () => {
       clearTimeout(this.scrolled);
       const { hash } = location;
-      // Going back changes the entry before its event is sent.
+      // When the user goes back, the entry changes before the event is sent.
       if (this.view) this.scrolled = setTimeout(() => {
         if (location.hash === hash) app.remember({ scrollY });
       }, SCROLL_MS);
@@ -318,7 +319,7 @@ class Frame {
         continue;
       }
       link.setAttribute('aria-current', 'page');
-      // Not now, because that would lay out the page one more time.
+      // Later, because scrolling now would lay out the page once more.
       requestAnimationFrame(() => link.scrollIntoView({ block: 'nearest', inline: 'nearest' }));
     }
     if (!entry) {
@@ -351,7 +352,7 @@ class Frame {
       scrollTo(0, place);
       if (!this.bar) this.showTray();
       if (isMove) this.#arrive();
-      // Something that happened while the view loaded may be newer than what it shows.
+      // The view may not show what happened while it loaded.
       if (app.events.last !== last) view?.update?.({ type: 'reset' });
     } catch (error) {
       if (turn !== this.turn) return;
@@ -379,7 +380,8 @@ class Frame {
   /** Shows the task menu on pages whose scores depend on the task. */
   #offerTasks(on) {
     if (!on) this.taskField.remove();
-    else if (!this.taskField.isConnected) this.caller.after(this.taskField); // it keeps the focus
+    else if (!this.taskField.isConnected) this.caller.after(this.taskField); // otherwise it keeps
+                                                                             // the focus
   }
 
   /** Uses the task of a link; a link without one has the task of this tab from now on. */
@@ -412,14 +414,14 @@ class Frame {
     if (!this.main.contains(document.activeElement)) heading?.focus({ preventScroll: true });
   }
 
-  /** Notes the newest event, once. Views load after that, so that they miss no change. */
+  /** Records the newest event, once. Views load after that, so that they miss no change. */
   #followEvents() {
     this.following ??= app.events.start().then((last) => { this.since = last; },
       () => { this.following = null; });
     return this.following;
   }
 
-  /** Starts to stream what follows that event, once. The first view sends its requests before
+  /** Starts to stream the events after that one, once. The first view sends its requests before
    * that. */
   #stream() {
     const { since } = this;
@@ -471,7 +473,7 @@ app.events.listen((event) => {
   if (isNews(event)) app.recent = [...app.recent, event].slice(-60);
   frame.view?.update?.(event);
 });
-/** Keys of all pages. A question mark that is typed into a field stays one. */
+/** Keys of all pages. A question mark that is typed into a field is only text. */
 addEventListener('keydown', (event) => {
   const { key, ctrlKey, metaKey, altKey, target } = event;
   const isJump = key.toLowerCase() === 'k' && (ctrlKey || metaKey) && !altKey;

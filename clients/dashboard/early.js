@@ -13,7 +13,7 @@
     document.head.append(Object.assign(link, { rel: 'modulepreload', href: at(name) }));
   }
   if (['home', 'stage', 'lab', 'campaigns'].includes(view)) {
-    // If it fails, the view says why.
+    // If this fails, the view reports the reason.
     import(at('stage/stage')).then(({ prepareStage }) => prepareStage()).catch(() => {});
   }
 })();

@@ -10,9 +10,9 @@
 #include "api/tables.h"
 #include "exchange/columns.h"
 
-#define PLACE_MAX     INT64_C(9999999999)
-#define ROWS_READ_MAX 5000 /* rows read for one page of replicates, over all of them; 10 µs each  \
-                            */
+#define PLACE_MAX INT64_C(9999999999)
+/* Rows read for one page of replicates, over all of them; 10 µs each. */
+#define ROWS_READ_MAX 5000
 
 struct curve;
 

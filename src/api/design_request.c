@@ -133,8 +133,8 @@ static bool read_voxels(struct mo_json *json, struct shape *shape)
   struct mo_cell_fault fault;
   if (!mo_json_string(json, &text))
     return false;
-  if (text.size > 0 && text.bytes[0] == 'g') { /* CSV files have this letter, and clients may send
-                                                  it back unchanged */
+  /* CSV files have this letter, and clients may send it back unchanged. */
+  if (text.size > 0 && text.bytes[0] == 'g') {
     text.bytes++;
     text.size--;
   }

@@ -120,8 +120,8 @@ static int check_offer(struct mo_json *json, void *any)
     if (scores != (offer->classes[i].gradients[0] != '\0'))
       mo_json_fault_at(json, 0, places[i], "scores, gradients and canary are required");
     if (strpbrk(offer->classes[i].scores, "\"\\") != NULL ||
-        strpbrk(offer->classes[i].gradients, "\"\\") != NULL) /* these texts are copied into events
-                                                               * without escapes */
+        strpbrk(offer->classes[i].gradients, "\"\\") != NULL) /* copied into events without
+                                                               * escapes */
       mo_json_fault_at(json, 0, places[i], "a class must not have quotation marks or backslashes");
   }
   if (!serves)

@@ -48,9 +48,8 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
   mo_text_format(text, ",%s,", mo_campaign_operator(row));
   if (isfinite(row->score))
     mo_text_json_number(text, row->score);
-  mo_text_add(text, ",d"); /* preceded by letters, because programs that read tables mistake 8e00…
-                            for a number
-                            */
+  /* Preceded by letters, because programs that read tables mistake 8e00… for a number. */
+  mo_text_add(text, ",d");
   mo_form_write(text, &row->form);
   mo_text_add(text, ",");
   mo_robot_write(text, &row->genotype);

@@ -68,9 +68,8 @@ static void write_generations(struct mo_text *text, struct mo_text *arrays, cons
   uint16_t *packed = (uint16_t *)(void *)generations;
   for (uint32_t i = 0; narrow && i < n; i++) {
     const uint16_t value = (uint16_t)(generations[i] == MO_ALIVE ? UINT16_MAX : generations[i]);
-    memcpy(&packed[i], &value, sizeof(value)); /* this never overwrites a value that has yet to be
-                                                read
-                                                */
+    /* This never overwrites a value that has yet to be read. */
+    memcpy(&packed[i], &value, sizeof(value));
   }
   write_column(text, arrays, name, narrow ? "uint16" : "uint32", generations, narrow ? 2 : 4, n);
 }

@@ -402,8 +402,8 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
   for (uint32_t k = 0; k < n && unstable == 0; k++)
     unstable =
         mo_warn_of_world(&rollouts->physics, &rollouts->environments[k], k, &warnings[n_warnings]);
-  n_warnings += unstable; /* set only if the physics is stable without factors, so two warnings
-                             fit */
+  /* Set only if the physics is stable without factors, so two warnings fit. */
+  n_warnings += unstable;
   mo_physics_hash(&rollouts->physics, rollouts->precision, rollouts->sensor, &physics);
   mo_text_object(text);
   mo_member_hash(text, "controller", &rollouts->controller);

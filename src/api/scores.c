@@ -8,9 +8,8 @@
 #include "exchange/score_block.h"
 #include "http/download.h"
 
-#define HELD_BYTES                                                                                 \
-  ((uint64_t)16 << 20) /* memory of a block, and of its members while they are                     \
-                          written */
+/* Memory of a block, and of its members while they are written. */
+#define HELD_BYTES ((uint64_t)16 << 20)
 
 /* ---- export ---- */
 

@@ -299,8 +299,8 @@ int mo_study_compare(const char *text, size_t size, const struct mo_campaign_sta
     known.own_score = parsed.request.record.own_score = (struct mo_own_score){.name = ""};
   comparison.error =
       mo_read_body(text, size, &mo_campaign_request_fields, &parsed, &parsed.parts, NULL, &read);
-  if (parsed.request.record.select_by.is_set) /* it is one of the measures, whether or not the list
-                                                 names it */
+  /* It is one of the measures, whether or not the list names it. */
+  if (parsed.request.record.select_by.is_set)
     parsed.request.record.measures |= UINT32_C(1) << parsed.request.record.select_by.measure;
   given = in_numbers(&parsed.request.record);
   given.settings.generations = known.settings.generations; /* the client can send any number of

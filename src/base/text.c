@@ -224,8 +224,7 @@ void mo_text_json_stored(struct mo_text *text, const char *json)
   size_t whole = 0; /* start of the current run of valid UTF-8 */
   for (size_t i = 0; i < n;) {
     const bool is_break =
-        json[i] == '\n' || json[i] == '\r'; /* line breaks between values are dropped, because an
-                                               event is one line */
+        json[i] == '\n' || json[i] == '\r'; /* dropped, because an event is one line */
     unsigned length = mo_utf8_sequence((const unsigned char *)json + i, n - i);
     if (length > 0 && !is_break) {
       i += length;

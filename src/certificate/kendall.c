@@ -96,8 +96,8 @@ struct mo_interval mo_kendall_interval(const struct mo_kendall *kendall)
   double near = tau, variance = jackknife(kendall);
   if (kendall->n_designs < MO_TAU_DESIGNS_MIN || isnan(tau) || isnan(variance))
     return MO_UNKNOWN_INTERVAL;
-  if (fabs(tau) >= 1) { /* the variance if there were one exception, which affects only its two
-                           designs */
+  /* The variance if there were one exception, which affects only its two designs. */
+  if (fabs(tau) >= 1) {
     const double fewer = untied * (n - 2) / n;
     near = tau * fmax(0, 1 - 2 / untied);
     variance = (n - 1) / n * 8 * (n - 2) / n / (fewer * fewer);

@@ -124,8 +124,8 @@ static void read_levels(struct mo_json *json, void *value)
   if (json->stop || json->faults->n != before)
     return;
   if (check_levels("", &read.n_levels, &message) != MO_OK) {
-    mo_json_fault_at(json, depth, "", "%s", message.text + 1); /* the message after its first
-                                                                  space */
+    /* The message after its first space. */
+    mo_json_fault_at(json, depth, "", "%s", message.text + 1);
     return;
   }
   settings->n_levels = read.n_levels;

@@ -178,8 +178,8 @@ static bool is_stable(const struct mo_certificate_base *base, const struct mo_ph
 {
   for (uint32_t k = 0; k < base->n_environments; k++)
     for (int end = 0; end < 2; end++) {
-      struct mo_physics worst = *physics; /* the stiffest and lightest, with the lowest or highest
-                                             drag */
+      /* The stiffest and lightest, with the lowest or highest drag. */
+      struct mo_physics worst = *physics;
       worst.constants = mo_scene_constants(&base->environments[k], physics);
       worst.constants.stiffness_n_per_m *= ranges->stiffness[1];
       worst.constants.mass_kg *= ranges->mass[0];

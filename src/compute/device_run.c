@@ -93,7 +93,7 @@ static void linger(struct mo_unit *unit)
         UINT64_C(1000000) * (mo_unit_is_running(unit) ? LINGER_BUSY_MS : LINGER_IDLE_MS);
     const bool are_submitting = atomic_load(&devices->submitting) > 0;
     if (were_submitting && !are_submitting)
-      return; /* this was the last device */
+      return; /* the last submitter is done */
     were_submitting = are_submitting;
     if (waiting > before || are_submitting)
       since_ns = mo_clock_ns();

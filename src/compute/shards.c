@@ -7,9 +7,9 @@
 
 #include "base/clock.h"
 
-#define RETURNS_MAX        3
-#define RETURNS_ABSENT_MAX 32  /* for a shard that only takers compute, which connect and
-                                  disconnect */
+#define RETURNS_MAX 3
+/* For a shard that only takers compute, which connect and disconnect. */
+#define RETURNS_ABSENT_MAX 32
 #define WORTH_S            0.2 /* seconds on the workers below which a batch is not offered */
 #define WAIT_US            50000
 

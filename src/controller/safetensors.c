@@ -141,8 +141,8 @@ static int check_metadata(json_t *metadata, struct described *described, struct 
     return MO_OK;
   if (!json_is_object(metadata))
     return mo_fail(message, MO_ERR_FORMAT, "\"__metadata__\" is not an object of strings");
-  if (json_object_size(metadata) > MO_METADATA_MAX - 4) /* leaves room for the entries that will be
-                                                           added */
+  /* Leaves room for the entries that will be added. */
+  if (json_object_size(metadata) > MO_METADATA_MAX - 4)
     return mo_fail(message, MO_ERR_LIMIT,
                    "\"__metadata__\" has %zu entries; at most %d are accepted",
                    json_object_size(metadata), MO_METADATA_MAX - 4);

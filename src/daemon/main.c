@@ -21,12 +21,12 @@
 
 #define STOP_LIMIT_S                                                                               \
   9 /* from the first SIGTERM, with a drain of at most 5 s, to the end of the process */
-#define HEARTBEAT_LIMIT_US 15000000 /* a part that completes no round for this long counts as
-                                       stuck */
-#define LOG_FLUSH_MS       2000     /* time to wait for the last lines if nobody reads standard
-                                       error */
-#define ROUND_S            1
-#define WATCHED_SIGNALS    5
+/* A part that completes no round for this long counts as stuck. */
+#define HEARTBEAT_LIMIT_US 15000000
+/* Time to wait for the last lines if nobody reads standard error. */
+#define LOG_FLUSH_MS    2000
+#define ROUND_S         1
+#define WATCHED_SIGNALS 5
 
 struct process {
   int argc;

@@ -123,8 +123,8 @@ static int read_environment(struct options *options)
 
 static int read_flags(struct options *options, int argc, const char *const *argv)
 {
-  const struct setting *list = NULL; /* the last list on the command line, to which its flag adds
-                                        again */
+  /* The last list on the command line, to which its flag adds again. */
+  const struct setting *list = NULL;
   for (int i = 2; i < argc; i++) {
     const char *flag = argv[i], *equals = strchr(flag, '=');
     const size_t length = equals != NULL ? (size_t)(equals - flag) : strlen(flag);

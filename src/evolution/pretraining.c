@@ -17,9 +17,8 @@
 
 #define ASK_EVERY     64
 #define FRUITLESS_MAX (UINT32_C(1) << 20) /* as in a body stream */
-#define ROUND                                                                                      \
-  32768                    /* draws per thread, which take about 30 ms; fewer if a form has more   \
-                              words */
+/* Draws per thread, which take about 30 ms; fewer if a form has more words. */
+#define ROUND          32768
 #define WORTH_A_THREAD 256 /* draws, which take about 200 µs */
 
 struct drawing {

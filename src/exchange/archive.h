@@ -15,10 +15,9 @@
 #define MO_ARCHIVE_NAME_BYTES 100                /* of a member, with its NUL */
 #define MO_ARCHIVE_MEMBER_MAX ((size_t)64 << 20) /* bytes of a member */
 #define MO_ARCHIVE_MEMBERS    200000
-#define MO_ARCHIVE_RATIO                                                                           \
-  200 /* number of bytes that one byte of the archive may unpack to, on                            \
-         average, */
-#define MO_ARCHIVE_FREE MO_ARCHIVE_MEMBER_MAX /* but this many bytes are always allowed */
+/* Largest mean number of bytes that one byte of the archive may unpack to. */
+#define MO_ARCHIVE_RATIO 200
+#define MO_ARCHIVE_FREE  MO_ARCHIVE_MEMBER_MAX /* this many bytes are always allowed */
 
 struct mo_archive_writer;
 struct mo_archive_writer *mo_archive_create(void); /* Returns NULL if memory runs out. */

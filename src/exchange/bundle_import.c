@@ -48,8 +48,8 @@ static void write_lasting(const struct mo_imported_campaign *campaign, struct mo
   lasting->source = (struct mo_import_source){.store = 0};
   lasting->record.group = lasting->record.replicate = 0;
   lasting->record.settings.generations = 0;
-  lasting->record.environment_set[0] = '\0'; /* in this store, the name may stand for different
-                                                environments */
+  /* In this store, the name may stand for different environments. */
+  lasting->record.environment_set[0] = '\0';
   lasting->state = MO_JOB_SUCCEEDED;
   lasting->end = MO_CAMPAIGN_OPEN;
   lasting->has_label = lasting->has_result = false;

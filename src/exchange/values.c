@@ -29,8 +29,8 @@ void mo_form_write(struct mo_text *text, const struct mo_genotype *form)
 void mo_robot_write(struct mo_text *text, const struct mo_genotype *genotype)
 {
   char robot[16 * MO_DEFAULT_WORDS + 3] = "";
-  (void)mo_genotype_robot(genotype->workspace, genotype->words, robot); /* cannot fail: the genotype
-                                                                           is not empty */
+  /* Cannot fail: the genotype is not empty. */
+  (void)mo_genotype_robot(genotype->workspace, genotype->words, robot);
   mo_text_add(text, robot);
 }
 

@@ -12,8 +12,8 @@
 #define NEW_LEASES     500 /* number of results after which a session is audited less often */
 #define AUDITS_NEW     10  /* one lease in this many is audited */
 #define AUDITS_TRUSTED 200
-#define CHOOSY_NS      (2 * MO_S_NS) /* time that an audit waits for a session with a different name
-                                        and host */
+/* Time that an audit waits for a session with a different name and host. */
+#define CHOOSY_NS (2 * MO_S_NS)
 
 /* ---- votes ---- */
 

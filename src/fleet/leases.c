@@ -3,11 +3,11 @@
 
 #include <stdlib.h>
 
-#define LATE                5 /* multiple of the expected time after which another session gets the
-                                 lease */
-#define LATE_NS             (2 * MO_S_NS)
-#define HUNG                20 /* multiple of the expected time after which the session loses the
-                                  lease */
+/* Multiple of the expected time after which another session gets the lease. */
+#define LATE    5
+#define LATE_NS (2 * MO_S_NS)
+/* Multiple of the expected time after which the session loses the lease. */
+#define HUNG                20
 #define HUNG_NS             (60 * MO_S_NS)
 #define UNKNOWN_STEPS_PER_S 1e5  /* per thread, for a session that was not measured */
 #define GRADIENT_COST       27   /* cost of a gradient step, in rollout steps */

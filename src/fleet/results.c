@@ -3,10 +3,10 @@
 
 #include "fleet/checks.h"
 
-#define MEMORY       0.9 /* fraction of the sums of a pace that remains after each message: about
-                            ten leases count */
-#define FAILURES_MAX 5   /* failed leases in a row, after which a session gets no more */
-#define REFUSALS_MAX 10  /* refused leases in a row after which the rest no longer gets longer */
+/* Fraction of the sums of a pace that remains after each message: about ten leases count. */
+#define MEMORY       0.9
+#define FAILURES_MAX 5  /* failed leases in a row, after which a session gets no more */
+#define REFUSALS_MAX 10 /* refused leases in a row after which the rest no longer gets longer */
 
 /* Adds up the results of one message for the pace of a session on one back end. */
 struct part {

@@ -13,9 +13,8 @@
 
 #define MO_SUSPECT_SETS 4096
 #define MO_SUSPECT_WAYS 4
-#define MO_PATIENT                                                                                 \
-  3 /* number of lost sessions that may be chance, and of workers that prove                       \
-       that a body is bad */
+/* Number of lost sessions that may be chance, and of workers that prove that a body is bad. */
+#define MO_PATIENT 3
 
 /* Initialize it to zeros. */
 struct mo_suspects {

@@ -144,8 +144,8 @@ static int adopt(struct run *run)
   if (error == MO_OK) /* the earlier attempt may not have synced its name */
     error = mo_store_atlases_sync(run->jobs->store);
   if (error == MO_OK) {
-    (void)mo_store_atlas_restart(run->jobs->store, record->name); /* remove the unfinished file,
-                                                                     which is not needed */
+    /* Remove the unfinished file, which is not needed. */
+    (void)mo_store_atlas_restart(run->jobs->store, record->name);
     run->is_complete = true;
     record->bodies_total = mo_atlas_bodies_of(atlas);
   }

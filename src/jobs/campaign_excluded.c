@@ -169,8 +169,8 @@ static int draw(struct mo_exclusion *exclusion)
 static void *open_or_draw(void *context)
 {
   struct mo_exclusion *exclusion = context;
-  mo_thread_tag = exclusion->first; /* a crash is charged to this campaign, even after it has
-                                       left */
+  /* A crash is charged to this campaign, even after it has left. */
+  mo_thread_tag = exclusion->first;
   mo_compute_lower_priority(exclusion->jobs->compute);
   int error = open_file(exclusion, &exclusion->forms);
   if (error != MO_OK) {
@@ -352,8 +352,8 @@ int mo_exclusion_acquire(struct mo_campaign_run *run, const struct mo_form_set *
   if (error != MO_OK || lineage.n_parts == 0)
     return error;
   error = join(run, &lineage);
-  if (error == MO_ERR_EXHAUSTED) /* returned unchanged, this error would end the campaign as if no
-                                  * child could be found */
+  /* Returned unchanged, this error would end the campaign as if no child could be found. */
+  if (error == MO_ERR_EXHAUSTED)
     return mo_runner_fail(run->runner, MO_ERR_LIMIT,
                           "the controller's lineage has more pretraining bodies than can be "
                           "redrawn; submit with exclude_pretraining false");

@@ -13,8 +13,7 @@ void mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_
   const uint32_t last = run->settings->generations;
   pthread_mutex_lock(&runner->runners->mutex);
   runner->live.position =
-      run->generation < last ? run->generation : last; /* at the end, there is no current
-                                                          generation */
+      run->generation < last ? run->generation : last; /* at the end, none is current */
   runner->live.last = last;
   runner->live.best_score = isfinite(run->status.best_score) ? run->status.best_score : 0;
   runner->live.done = 0;

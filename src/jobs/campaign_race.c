@@ -40,8 +40,8 @@ static void plan(struct mo_campaign_run *run)
 {
   const uint32_t n = run->n_environments, n_scored = n_parents_scored(run);
   struct mo_campaign_rows *rows = run->rows;
-  for (uint32_t i = 0; i < n_scored; i++) { /* the controller has learned, so the parents get new
-                                               losses */
+  /* The controller has learned, so the parents get new losses. */
+  for (uint32_t i = 0; i < n_scored; i++) {
     memcpy(rows->parent_losses + (size_t)i * n, run->scores.losses[i].losses, n * sizeof(double));
     rows->scores[i] =
         mo_aggregate_score(&run->settings->aggregate, run->scores.losses[i].losses, n);

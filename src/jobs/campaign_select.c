@@ -33,8 +33,8 @@ int mo_campaign_select(struct mo_campaign_run *run)
     places[n_kept++] = i;
   }
   if (chosen != NULL) {
-    settings.selection.kind = MO_SELECT_TRUNCATION; /* all of them survive, so this only ranks
-                                                       them */
+    /* All of them survive, so this only ranks them. */
+    settings.selection.kind = MO_SELECT_TRUNCATION;
     settings.population = n_kept;
   }
   if (error == MO_OK)

@@ -257,8 +257,7 @@ int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generatio
     return MO_OK;
   int error = check_extension(jobs, id, generations, message);
   if (error == MO_OK)
-    error = mo_jobs_admit(jobs, 1, 0, message); /* a campaign that had succeeded is now open
-                                                   again */
+    error = mo_jobs_admit(jobs, 1, 0, message); /* a succeeded campaign is open again */
   if (error != MO_OK)
     return error;
   error = mo_store_extend_campaign(jobs->store, id, generations, key, &before);

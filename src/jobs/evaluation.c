@@ -272,8 +272,7 @@ static void finish_updates(struct mo_evaluations *all, int status)
       finish_update(all, active, update);
     else if (update->step == MO_STEP_RETRY || update->step == MO_STEP_HALT)
       active->failing = mo_pending_update(all, active, update->step, update->error,
-                                          update->error_text) != NULL; /* again, without the
-                                                                          results */
+                                          update->error_text) != NULL; /* without results */
     active->references--;
   }
   mo_pending_clear(saving);

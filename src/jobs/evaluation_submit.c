@@ -12,9 +12,8 @@
  * much as 100 more springs per rollout. float64 takes twice as long. */
 #define INTERACTIVE_COST 40e6
 #define NETWORK_SPRINGS  100
-#define PHYSICS_SHARE                                                                              \
-  0.15 /* fraction of the cost of such a step that is physics, if the network                      \
-          runs in every step */
+/* Fraction of the cost of such a step that is physics, if the network runs in every step. */
+#define PHYSICS_SHARE 0.15
 
 bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
                  const struct mo_physics *physics, enum mo_precision precision)

@@ -245,8 +245,7 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
     return error;
   runners = &jobs->runners[job.kind];
   bool reopens = runners->kind->run != NULL && change_to == MO_CHANGE_RESUME &&
-                 job.state == MO_JOB_FAILED; /* the queue must have space for a job that is
-                                                reopened */
+                 job.state == MO_JOB_FAILED; /* the queue must have space for it */
   if (reopens)
     error = mo_jobs_admit(jobs, 1, 0, NULL);
   if (error != MO_OK)

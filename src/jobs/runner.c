@@ -261,8 +261,8 @@ bool mo_runner_end_attempt(struct mo_runner *runner, int error, void *run)
     (void)kind->save(run);
     return false;
   case MO_ERR_CONFLICT:
-    return false; /* the job was paused or cancelled while its end was being written, and keeps that
-                     state */
+    /* The job was paused or cancelled while its end was being written, and keeps that state. */
+    return false;
   default: break;
   }
   if (runner->text[0] == '\0')

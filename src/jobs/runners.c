@@ -10,9 +10,8 @@
 #include "jobs/evaluation.h"
 #include "jobs/state.h"
 
-#define CLAIMS_MAX                                                                                 \
-  65 /* queued jobs per look-up: one more than the largest number of threads of a                  \
-        kind */
+/* Queued jobs per look-up: one more than the largest number of threads of a kind. */
+#define CLAIMS_MAX   65
 #define LONGEST_WAIT 30 /* for memory, in multiples of retry_ms */
 
 /* ---- claiming ---- */
@@ -61,8 +60,8 @@ static void release(struct mo_runner *runner)
   runner->id = 0;
   runner->request = MO_REQUEST_NONE;
   runner->waits = false;
-  runners->look++; /* this job may have been requeued, or other jobs may be waiting for this
-                      thread */
+  /* This job may have been requeued, or other jobs may be waiting for this thread. */
+  runners->look++;
   atomic_fetch_sub(&runners->active, 1);
   pthread_cond_broadcast(&runners->news);
   pthread_mutex_unlock(&runners->mutex);

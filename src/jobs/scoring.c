@@ -224,8 +224,8 @@ int mo_window_take(struct mo_window *window, const struct mo_flight *flight, boo
     error = block->outcomes[i].loss > -INFINITY ? MO_OK : NOT_A_LOSS;
   for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++)
     *is_done = mo_grid_finish(window->grid, flight->design, flight->places[i]);
-  if (block->status == MO_ERR_EXHAUSTED) { /* passed on unchanged, this error would end a
-                                            * campaign */
+  /* Passed on unchanged, this error would end a campaign. */
+  if (block->status == MO_ERR_EXHAUSTED) {
     char robot[MO_SMALL_VOXELS / 4 + 3] = "";
     (void)mo_genotype_robot(block->lattice->workspace, block->genotype, robot);
     error = NOT_A_LOSS;

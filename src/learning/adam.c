@@ -3,10 +3,10 @@
  *   m ← β1 m + (1 − β1) g,  v ← β2 v + (1 − β2) g²
  *   w ← w − rate · m/(1 − β1^t) / (√(v/(1 − β2^t)) + ε)
  *
- * It uses only +, −, ×, ÷ and √, which IEEE 754 rounds correctly, element by element, and sums in
- * the order of the elements: equal bits on every machine, with any number of threads. An update is
- * computed twice, first to check that all of it is finite, so that it is applied completely or not
- * at all. */
+ * It uses only +, −, ×, ÷ and √, which IEEE 754 rounds correctly, element by element, and adds in
+ * the order of the elements, so the bits are equal on every machine, with any number of threads. An
+ * update is computed twice, first to check that all of it is finite, so that it is applied
+ * completely or not at all. */
 #include "learning/internal.h"
 
 #include "base/thread.h"

@@ -4,8 +4,8 @@
  * settings (uint32), struct counters, the settings as JSON by their table, then, with VERSION_OWN,
  * the training run's own environments (struct worlds, then each in its packed form), then designs
  * (24 bytes each), weights (float32), first and second moments (float64 each), and a CRC-64 of
- * everything before it. Decoding trusts nothing: sizes must match to the byte, settings must pass
- * the checks of a new run, and numbers must be finite. */
+ * everything before it. Decoding trusts none of it: sizes must match to the byte, settings must
+ * pass the checks of a new run, and numbers must be finite. */
 #include "learning/internal.h"
 
 #include <inttypes.h>
@@ -18,7 +18,7 @@
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "checkpoints are little-endian");
 
 #define VERSION     3 /* the run draws its environments */
-#define VERSION_OWN 4 /* it has its own */
+#define VERSION_OWN 4 /* the run has its own environments */
 #define SUM_BYTES   sizeof(uint64_t)
 
 static const uint8_t magic[8] = {'m', 'o', 'r', 'p', 'h', 'o', '\r', '\n'};
@@ -44,7 +44,7 @@ struct worlds {
 #define POLYNOMIAL UINT64_C(0xC96C5795D7870F42)
 #define SLICES     8
 
-/* Not sanitized, for speed: checked code reads the last bytes. */
+/* Not sanitized, for speed: code that sanitizers check reads the last bytes. */
 __attribute__((no_sanitize("address", "thread", "undefined"))) static uint64_t
 add_slices(const uint64_t table[SLICES][256], const uint8_t *bytes, size_t n, uint64_t crc)
 {
@@ -117,8 +117,8 @@ static void body(struct codec *codec, struct mo_training *training)
 
 int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size)
 {
-  /* The arrays are passed by address, but writing does not change them. At the same time, a draw
-   * ahead may change the other members. */
+  /* The arrays are passed by address, but writing does not change them. Meanwhile, a draw ahead may
+   * change the other members. */
   const struct mo_training_settings *settings = &training->settings;
   struct mo_training copy = {.controller = training->controller,
                              .adam = training->adam,

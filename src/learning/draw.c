@@ -86,7 +86,7 @@ static int prepare(struct mo_training *training, struct mo_hand *hand)
                               &training->stream);
     if (r == MO_OK)
       (void)mo_body_stream_set_threads(training->stream,
-                                       training->n_threads); /* a failure only makes it slower */
+                                       training->n_threads); /* a failure only slows drawing */
   }
   if (r < 0)
     return r;

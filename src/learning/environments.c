@@ -1,5 +1,5 @@
-/* environments.c: the environments given to a training run instead of those that it would draw:
- * kept in its state, and as bytes for its checkpoints and its controller's lineage. */
+/* environments.c: the environments given to a training run in place of those that it would draw: in
+ * its state, and as bytes in its checkpoints and in its controller's lineage. */
 #include "learning/internal.h"
 
 #include <stdlib.h>

@@ -1,14 +1,15 @@
 /* held_out.c: bodies and environments that training never uses.
  *
- * Whether a body is held out depends only on its canonical form: a hash chooses one form in 16. So
- * the bodies that are used to compare two controllers are new to both, regardless of their training
- * seeds. The hash is one application of Philox; its counter and key hold exactly the 192 bits of a
- * form in the default workspace. */
+ * Whether a body is held out depends only on its canonical form: a hash chooses one form in 16. The
+ * bodies that are used to compare two controllers are therefore new to both, regardless of their
+ * training seeds. The hash is one application of Philox, whose counter and key are exactly the 192
+ * bits of a form in the default workspace. */
 #include <morpho/learning.h>
 
 #include <string.h>
 
-#define HOME MO_DEFAULT_WORKSPACE /* of the bodies: the hash takes the 192 bits of its forms */
+/* Workspace of the bodies, whose forms have the 192 bits that the hash takes. */
+#define HOME MO_DEFAULT_WORKSPACE
 
 int mo_held_out_form(const uint64_t *form)
 {

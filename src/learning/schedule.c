@@ -3,8 +3,9 @@
  * one cycle.
  *
  * Step s of a cycle of n steps has the rate floor + (peak − floor) (1 + cos(π s/n))/2: the first
- * step has the peak, and the step after the last would reach the floor. The cosine is computed here
- * with only correctly rounded operations, so that a rate has the same bits on every machine. */
+ * step has the peak rate, and the step after the last one would have the floor. The cosine is
+ * computed here with only correctly rounded operations, so that a rate has the same bits on every
+ * machine. */
 #include "learning/fields.h"
 
 #define PI           3.14159265358979323846

@@ -45,7 +45,7 @@ struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
   return settings;
 }
 
-/* Sets one short cosine, then a long one to the end: 5 + 61 + 1342 steps are 8 more than the run
+/* Sets one short cosine, then a long one to the end: 5 + 61 + 1342 steps, 8 more than the run
  * has. */
 static void set_phototaxis(struct mo_training_settings *settings)
 {

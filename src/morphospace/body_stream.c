@@ -1,8 +1,8 @@
 /* body_stream.c: random bodies without repetition.
  *
- * Draws and their canonical forms depend only on their numbers, so a few hundred are made ahead, on
- * as many threads as allowed. They are then checked for repetitions one after another, in the order
- * of their numbers. With one thread, none are made ahead. */
+ * Draws and their canonical forms depend only on the numbers of the draws, so a few hundred are
+ * made ahead, on as many threads as allowed. They are then checked for repetitions one after
+ * another, in the order of their numbers. With one thread, no draws are made ahead. */
 #include <morpho/morphospace.h>
 
 #include "base/thread.h"
@@ -84,7 +84,7 @@ int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads
   n_threads = n_threads < 1                         ? 1
               : n_threads < MO_PARALLEL_THREADS_MAX ? n_threads
                                                     : MO_PARALLEL_THREADS_MAX;
-  if (n_threads == stream->n_threads) /* keep the draws made ahead */
+  if (n_threads == stream->n_threads) /* this keeps the draws made ahead */
     return MO_OK;
   const int code = make_room(stream, n_threads == 1 ? 1 : (size_t)n_threads * AHEAD_PER_THREAD);
   if (code == MO_OK)

@@ -2,8 +2,8 @@
  *
  * A file has the tables of a set (form_set.c), filled to 8/9, and ends with their sizes and
  * checksums. A look-up reads only one or two places in the tables. Opening reads the file with
- * system calls, which report disk errors; through the mapping an error would kill the process.
- * Checked pages are in the page cache, which may drop them when memory is short. */
+ * system calls, which report disk errors; an error while reading through the mapping would kill the
+ * process. Checked pages are in the page cache, which may drop them when memory is short. */
 #include "morphospace/form_file.h"
 
 #include "base/files.h"

@@ -7,9 +7,9 @@
  * plus one table, and forms take between 1.25 and 1.57 times their own size.
  *
  * Threads that add many forms divide the tables: each thread adds the forms of its own tables, in
- * their order. So no two threads touch the same table, and every table gets the same content as
- * with one thread. A form's slot is prefetched a few forms ahead, because in a set of millions it
- * is not in any cache. */
+ * their order. No two threads therefore touch the same table, and every table gets the same content
+ * as with one thread. A form's slot is prefetched a few forms ahead, because in a set of millions
+ * it is not in any cache. */
 #include "morphospace/form_set.h"
 
 #include "base/thread.h"
@@ -19,10 +19,10 @@
 #include <stdatomic.h>
 #include <sys/mman.h>
 
-#define SEGMENT_FIRST  16 /* slots of a table's first size */
+#define SEGMENT_FIRST  16 /* initial number of slots of a table */
 #define SLOTS_MAX      (UINT64_C(1) << 32)
 #define FETCHED        16  /* forms whose slots are being prefetched; a power of two */
-#define WORTH_A_THREAD 512 /* forms that make another thread worthwhile, about 50 µs */
+#define WORTH_A_THREAD 512 /* number of forms that makes another thread worthwhile: about 50 µs */
 
 int mo_form_set_create(struct mo_workspace workspace, struct mo_form_set **set)
 {
@@ -270,9 +270,9 @@ int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form)
   return found;
 }
 
-/* Each table gets a 256th of the forms, plus four standard deviations. A fifth is added, because
- * all tables grow at about the same time, and the heap cannot reuse the old tables until all have
- * grown. */
+/* Each table gets a 256th of the forms, plus four standard deviations. A fifth is added to the
+ * total, because all tables grow at about the same time, and the heap cannot reuse the old tables
+ * until all have grown. */
 size_t mo_form_set_estimate(struct mo_workspace workspace, uint64_t n)
 {
   const double forms = (double)n / MO_FORM_SEGMENTS;

@@ -1,5 +1,5 @@
-/* genotype.c: converts genotypes from and to lists of cells, text and bytes; counts and
- * compares. */
+/* genotype.c: converts genotypes from and to lists of cells, text and bytes; counts and compares
+ * genotypes. */
 #include <morpho/morphospace.h>
 
 #include "base/text.h"

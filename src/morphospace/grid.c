@@ -141,7 +141,7 @@ static void shift_bits(uint64_t *bits, uint32_t words, int64_t shift)
 }
 
 /* The distance to the middle, times 2n, is |2 sum + 2n shift − n (side − 1)|: an integer that is
- * smallest at one shift or at two neighboring ones, and monotone on either side of them. */
+ * smallest at one shift or at two neighboring shifts, and monotone on either side of them. */
 int32_t mo_place_shift(uint32_t side, uint32_t low, uint32_t high, uint64_t n, uint64_t sum)
 {
   int64_t count = (int64_t)n;
@@ -230,8 +230,8 @@ static int get_at(struct mo_workspace workspace, const uint64_t *bits,
   return mo_bits_get(bits, column * workspace.nz + view->low[2] + at[2]);
 }
 
-/* Returns a negative number, 0 or a positive number if view a shows a smaller, an equal or a larger
- * genotype than b. */
+/* Returns a negative number, 0 or a positive number if the genotype in view a is smaller than,
+ * equal to or larger than that in view b. */
 static int compare(struct mo_workspace workspace, const uint64_t *bits,
                    const struct mo_grid_view *a, const struct mo_grid_view *b)
 {

@@ -143,7 +143,7 @@ int mo_genotype_robot(struct mo_workspace workspace, const uint64_t *bits, char 
     return MO_ERR_NO_MEMORY;
   uint64_t *aligned = form.bits + words, *image = aligned + words;
   mo_genotype_canonical(workspace, bits, form.bits);
-  (void)mo_shape_image(workspace, bits, 0, aligned); /* always fits */
+  (void)mo_shape_image(workspace, bits, 0, aligned); /* image 0 always fits */
   while (mo_shape_image(workspace, form.bits, k, image) != MO_OK ||
          memcmp(image, aligned, words * sizeof(uint64_t)) != 0)
     k++; /* terminates, because the genotype is an image of its form */

@@ -1,7 +1,7 @@
 /* variation.c: random bodies, mutation, crossover.
  *
- * The results of a seed depend on which numbers are taken from a stream, and in what order, so
- * never change that.
+ * The results of a seed depend on which numbers are taken from a stream, and in what order, so this
+ * must never change.
  *   random body  one below(volumes), one below(boxes of that volume), one normal, then one
  *                32-bit number per voxel of the box in voxel order; all of it repeated while no
  *                voxel is active. A voxel is active if its number is below p · 2³²
@@ -48,7 +48,7 @@ struct box {
 static void find_volumes(struct mo_workspace workspace, uint64_t *volumes)
 {
   if (mo_workspace_equal(workspace, MO_DEFAULT_WORKSPACE)) {
-    /* Precomputed result of the loop below, which costs a fifth of a draw. */
+    /* Precomputed result of the loop below, which would take a fifth of the time of a draw. */
     volumes[0] = UINT64_C(0x104521114b15977e);
     volumes[1] = UINT64_C(0x0100101104010901);
     volumes[2] = UINT64_C(0x0000000000010000);
@@ -154,7 +154,7 @@ static void mark_below(const uint32_t *numbers, uint32_t n, uint64_t limit, uint
   for (uint32_t i = 0; i < n; i += 8) {
     uint64_t bytes;
     memcpy(&bytes, is_below + i, sizeof(bytes));
-    /* The lowest bits of eight bytes become the bits of one. */
+    /* The lowest bits of eight bytes become the bits of one byte. */
     bits[i >> 6] |= bytes * UINT64_C(0x0102040810204080) >> 56 << (i & 63);
   }
 }

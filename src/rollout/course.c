@@ -169,8 +169,8 @@ void mo_course_begin(struct mo_course *course, const struct mo_environment *envi
   else if (guide->kind == MO_GUIDE_PATH)
     face(course, track);
   aim(course, 0, track);
-  track->before_m = -track->along_m; /* progress is 0 at the start, even if waypoints are reached
-                                        there */
+  /* Progress is 0 at the start, even if waypoints are reached there. */
+  track->before_m = -track->along_m;
   track->tally.peak_m = -(double)INFINITY;
   course->scale_m = mo_objective_scale(environment->task.objective);
   if (environment->task.objective == MO_OBJECTIVE_EFFICIENT ||

@@ -204,8 +204,8 @@ static void take_part(const struct conditions *conditions, const struct mo_campa
 static int insert_part(struct mo_store *store, struct part *part, int64_t genotype,
                        bool has_measures, struct mo_condition *last, int64_t now_us, bool *is_new)
 {
-  bool is_stored = false; /* the losses may already be stored: some rollouts are computed only for
-                             their measures */
+  /* The losses may already be stored: some rollouts are computed only for their measures. */
+  bool is_stored = false;
   int error = mo_condition_row_after(&store->writer, &part->condition, last);
   if (error == MO_OK && has_measures)
     error = mo_losses_are_known(&store->writer, &part->condition, genotype, &is_stored);

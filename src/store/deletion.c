@@ -293,7 +293,7 @@ void mo_upkeep(struct mo_store *store)
   store->aged_left = EXPIRE_MAX;
   run(store, delete_some);
   run(store, expire);
-  if (store->keep_recordings_us > 0) /* without a retention time, only new recordings cause the
-                                        removal of old ones */
+  /* Without a retention time, only new recordings cause the removal of old ones. */
+  if (store->keep_recordings_us > 0)
     mo_recordings_check(store);
 }

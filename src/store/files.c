@@ -107,8 +107,8 @@ int mo_file_write_checked(struct mo_store *store, const char *folder, const char
 {
   const struct mo_file_operations *files = store->files;
   char *temporary;
-  if (check == NULL && has_bytes(path, bytes, size)) /* a crash may have left the file without its
-                                                        row */
+  /* A crash may have left the file without its row. */
+  if (check == NULL && has_bytes(path, bytes, size))
     return mo_folder_sync(store, folder);
   if (asprintf(&temporary, "%s/.tmp-%u", folder, atomic_fetch_add(&store->file_counter, 1)) < 0)
     return MO_ERR_NO_MEMORY;

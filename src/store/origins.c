@@ -119,8 +119,7 @@ int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
                                          sqlite3_column_int64(row, 1)};
     const int losses = sqlite3_column_int(row, 2); /* −1: a row of measures */
     const bool is_again = losses < 0 && here.genotype == place->genotype &&
-                          here.condition == place->condition; /* its losses were in the row before
-                                                                 it */
+                          here.condition == place->condition; /* its losses precede it */
     const bool has_losses = losses > 0, has_measures = sqlite3_column_int(row, 3) != 0;
     *place = here;
     if (!is_again && (has_losses || has_measures))

@@ -5,9 +5,8 @@
 
 #include "base/fields.h"
 
-#define MO_OWN_SCORE_MAX                                                                           \
-  1e30                           /* limit of |score|: it fits in a float32, and sums do not        \
-                                    overflow */
+/* Limit of |score|: it fits in a float32, and sums do not overflow. */
+#define MO_OWN_SCORE_MAX      1e30
 #define MO_OWN_SCORE_NAME_MAX 32 /* letters of A-Z, a-z, 0-9, '_', '.' and '-' */
 #define MO_OWN_SCORE_UNIT_MAX 16 /* characters, in UTF-8 */
 

@@ -19,10 +19,9 @@ struct mo_re_evaluation {
   uint32_t designs;      /* 1 … MO_ELITE_BEST_MAX; 10 */
 };
 #define MO_ELITE_BEST_MAX 100
-#define MO_CHAMPIONS_USUAL                                                                         \
-  12 /* number of designs in lists of champions, unless the request                                \
-        specifies it */
-#define MO_ELITE_MAX (MO_ELITE_BEST_MAX + MO_CHAMPIONS_USUAL)
+/* Number of designs in lists of champions, unless the request specifies it. */
+#define MO_CHAMPIONS_USUAL 12
+#define MO_ELITE_MAX       (MO_ELITE_BEST_MAX + MO_CHAMPIONS_USUAL)
 /* An object; null: never. */
 extern const struct mo_fields mo_re_evaluation_fields;
 extern const struct mo_field_own mo_re_evaluation_field;

@@ -164,8 +164,8 @@ static void note_difference(struct entry *entry, uint32_t i, const struct mo_sco
   for (uint32_t k = 0; k < score->n; k++) {
     row->environments[k] = block->environments[score->environments[k]];
     mo_environment_hash(&row->environments[k], &row->environment_sha256[k]);
-    row->environments[k].grid = NULL; /* the grid belongs to the block, which differences may
-                                         outlive */
+    /* The grid belongs to the block, which differences may outlive. */
+    row->environments[k].grid = NULL;
     row->again.losses[k] = score->losses[k];
     row->again.diverged_steps[k] = score->diverged_steps[k];
     row->stored.losses[k] = stored[k].known ? stored[k].loss : score->losses[k];

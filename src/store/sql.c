@@ -46,8 +46,7 @@ int mo_sql_error(sqlite3 *db, int code)
   case SQLITE_CANTOPEN:
     system_error = db != NULL ? sqlite3_system_errno(db) : 0;
     return system_error == EMFILE || system_error == ENFILE ? MO_ERR_NO_MEMORY
-                                                            : MO_ERR_IO; /* same as for other
-                                                                            files */
+                                                            : MO_ERR_IO; /* as for any file */
   default: return MO_ERR_IO;
   }
 }

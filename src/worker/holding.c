@@ -11,11 +11,12 @@
 #include "worker/weights.h"
 
 #define SLOTS_PER_WORKER 2
-#define RESULT_ROWS_MAX  (5 * MO_WIRE_ROWS_MAX) /* per message: 8 MB, which the daemon accepts */
-#define SLOTS_OF_DEVICES 16384                  /* about two chunks */
+/* Rows per message: 8 MB, which the daemon accepts. */
+#define RESULT_ROWS_MAX  (5 * MO_WIRE_ROWS_MAX)
+#define SLOTS_OF_DEVICES 16384 /* slots for about two chunks */
 
 enum lease_state {
-  WAITING, /* waits for weights */
+  WAITING, /* it waits for weights */
   RUNNING, /* blocks are submitted or will be */
   ENDING   /* nothing more is submitted */
 };
@@ -166,7 +167,7 @@ static void block_done(struct mo_block *block, void *context)
 
 /* ---- gradients ---- */
 
-/* Under the mutex: gives the oldest gradient priority; the next one fills the gaps. */
+/* Under the mutex: gives the oldest gradient priority, so that the next one only fills the gaps. */
 static void prefer_first(struct mo_holding *holding)
 {
   double weight = 1;

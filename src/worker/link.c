@@ -1,5 +1,4 @@
-/* link.c: see link.h. libcurl keeps the connections, and closes the connection of an aborted
- * request. */
+/* link.c: see link.h. libcurl keeps connections open, and closes that of an aborted request. */
 #include "worker/link.h"
 
 #include <stdio.h>
@@ -190,7 +189,7 @@ static void set_trust(const struct mo_link *link, CURL *curl)
     curl_easy_setopt(curl, CURLOPT_CAINFO, config->ca);
   if (config->proxy != NULL)
     curl_easy_setopt(curl, CURLOPT_PROXY, config->proxy);
-  else if (link->is_loopback) /* a proxy from the environment would be another machine */
+  else if (link->is_loopback) /* a proxy from the environment would be on another machine */
     curl_easy_setopt(curl, CURLOPT_PROXY, "");
 }
 

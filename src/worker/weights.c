@@ -11,7 +11,7 @@ static void forget(struct mo_kept *item)
 int mo_kept_weights_init(struct mo_kept_weights *weights, struct mo_compute *compute)
 {
   *weights = (struct mo_kept_weights){.compute = compute};
-  weights->items[0].users = 1; /* never forgotten */
+  weights->items[0].users = 1; /* so that it is never evicted */
   return mo_compute_controller_create(compute, NULL, &weights->items[0].prepared);
 }
 

@@ -15,13 +15,14 @@
 #include "worker/holding.h"
 #include "worker/protocol.h"
 
-#define ROUND_MS      1000 /* the longest wait of the loop */
-#define PAUSE_MIN_MS  100
-#define PAUSE_MAX_MS  5000
-#define STEADY_MS     5000 /* after this time a session counts as stable */
-#define CALM_MS       50   /* first pause after an empty reply that arrived at once */
-#define CALM_MAX_MS   250
-#define BUSY_MS       1000  /* before weights that the daemon could not send are requested again */
+#define ROUND_MS     1000 /* the longest wait of the loop */
+#define PAUSE_MIN_MS 100
+#define PAUSE_MAX_MS 5000
+#define STEADY_MS    5000 /* after this time a session counts as stable */
+#define CALM_MS      50   /* first pause after an empty reply that arrived immediately */
+#define CALM_MAX_MS  250
+/* Pause before weights that the daemon could not send are requested again. */
+#define BUSY_MS       1000
 #define DRAIN_MS      20000 /* limit of a drain that is not urgent */
 #define LEAVE_MS      5000  /* timeout of the last request: a busy machine is slow */
 #define ORDERS_WAIT_S 2
@@ -254,8 +255,8 @@ static void ask_for_weights(struct mo_worker *worker, const struct mo_sha256 *ha
 static void leave(struct mo_worker *worker)
 {
   char path[96];
-  worker->phase = LEAVING; /* the orders request stays open: its end would look like a lost
-                              session */
+  /* The request for orders stays open, because its end would look like a lost session. */
+  worker->phase = LEAVING;
   request(worker, MO_CALL_SESSION,
           &(struct mo_link_request){.method = "DELETE",
                                     .path = path_of(worker, "", path),
@@ -313,7 +314,7 @@ static void take_leases(struct mo_worker *worker, const struct mo_link_reply *re
     worker->calm_ms = CALM_MS;
     worker->next_leases_ms = now;
   } else if (waited && now - worker->leases_asked_ms < 500 * (int64_t)worker->leases_wait_s) {
-    /* The daemon did not let the request wait. */
+    /* The daemon replied at once instead of letting the request wait. */
     worker->next_leases_ms = now + worker->calm_ms;
     worker->calm_ms = worker->calm_ms * 2 < CALM_MAX_MS ? worker->calm_ms * 2 : CALM_MAX_MS;
   }
@@ -323,8 +324,8 @@ static void take_weights(struct mo_worker *worker, const struct mo_link_reply *r
 {
   struct mo_message why = {""};
   if (reply->error == MO_OK && (reply->status == 404 || reply->status == 503)) {
-    /* 404: its leases no longer exist either. 503: the leases are returned, because a lost session
-     * with leases makes their bodies suspect. */
+    /* 404: the leases of the session no longer exist, either. 503: the leases are returned, because
+     * the bodies of leases that a lost session held become suspects. */
     if (reply->status == 503)
       worker->next_weights_ms = now_ms() + BUSY_MS;
     mo_holding_miss_weights(worker->holding, &worker->weights_asked);

@@ -6,7 +6,7 @@
 
 #include <morpho/random.h>
 
-/* name in JSON and in both structs, lower bound, what it multiplies */
+/* name in JSON and in both structs, lower bound, what the factor multiplies */
 #define FACTORS(ROW)                                                                               \
   ROW(stiffness, MO_FACTOR_MIN, "stiffness_n_per_m")                                               \
   ROW(mass, MO_FACTOR_MIN, "mass_kg")                                                              \
@@ -38,7 +38,7 @@
 static const struct mo_field factor_rows[] = {FACTORS(ONE)};
 #define AT(member) offsetof(struct mo_factor_ranges, member)
 static const struct mo_field range_rows[] = {
-    FACTORS(RANGE) /* then what is added */
+    FACTORS(RANGE) /* then the ranges of what is added */
     {"drop_m", MO_FIELD_NUMBERS, 0, AT(drop_m), .n = 2, .max = MO_DROP_MAX_M, .unit = "m",
      .help = "lowest and highest extra lift at the start"},
     {"slope_degrees", MO_FIELD_NUMBERS, 0, AT(slope_degrees), .n = 2, .max = MO_VARY_DEGREES_MAX,
@@ -171,7 +171,7 @@ const struct mo_field_own mo_vary_own = {read_vary, write_vary, check_vary};
 
 /* ---- drawing ---- */
 
-/* Where numbers are drawn to: one in each of n structs of `stride` bytes. */
+/* The destination of drawn numbers: one in each of n structs of `stride` bytes. */
 struct column {
   double *first;
   size_t stride;

@@ -11,7 +11,7 @@
 #include "world/terrain.h"
 
 #define SPACING_M          0.1
-#define SPACING_MIN_M      0.08 /* with it, 64 heights reach 5 m */
+#define SPACING_MIN_M      0.08 /* at this spacing, 64 heights span 5 m */
 #define N                  MO_TERRAIN_HEIGHTS
 #define RADIANS_PER_DEGREE (M_PI / 180)
 
@@ -75,7 +75,7 @@ static int check_rise(const struct mo_terrain_recipe *recipe, const char *name, 
   return MO_OK;
 }
 
-/* Checks a length along x, and writes it to *spacings in spacings. */
+/* Checks a length along x, and writes it to *spacings as a number of spacings. */
 static int check_length(const struct mo_terrain_recipe *recipe, const char *name, double value,
                         int least, int *spacings, struct mo_message *message)
 {

@@ -45,7 +45,7 @@ int mo_terrain_grid_create(uint32_t columns, uint32_t rows, double spacing_m,
   return MO_OK;
 }
 
-/* Returns the grid as not const: only the count of holders changes. */
+/* Returns the grid without const, because the count of holders changes. */
 static struct mo_terrain_grid *own_of(const struct mo_terrain_grid *grid)
 {
   const union {

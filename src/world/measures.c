@@ -1,4 +1,4 @@
-/* measures.c: the names of the measures, and what is computed from their values. */
+/* measures.c: the names of the measures, and functions of their values. */
 #include "world/measures.h"
 
 #include <math.h>
@@ -30,7 +30,7 @@ const struct mo_measure_info mo_measure_info[MO_MEASURES] = {
 double mo_measure_round(unsigned measure, double value)
 {
   const double steps = mo_measure_info[measure].steps_in_one;
-  return rint(value * steps) / steps + 0.0; /* + 0.0: never −0 */
+  return rint(value * steps) / steps + 0.0; /* + 0.0, so that it is never −0 */
 }
 
 bool mo_measure_is_round(unsigned measure, double value)

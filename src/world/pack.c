@@ -4,7 +4,7 @@
 
 #include "world/environment.h"
 
-/* What follows the fields, since version MO_ENVIRONMENT_GRID_VERSION. */
+/* The data after the fields, since version MO_ENVIRONMENT_GRID_VERSION. */
 struct tail {
   uint32_t columns, rows;
   double spacing_m;

@@ -2,7 +2,7 @@
  *
  * Each task of the suite has ten worlds for selection and 64 that are held out. World i of task k
  * comes from the stream (MO_SUITE_SEED, SUITE, k, i); held-out worlds are i = 64 … 127. Numbers are
- * rounded to 0.00001 where they are drawn, so that the worlds are short in text form. */
+ * rounded to 0.00001 when they are drawn, so that the worlds are short in text form. */
 #include <morpho/random.h>
 #include <morpho/world.h>
 
@@ -149,7 +149,8 @@ static void draw_family(struct mo_random *random, int task, uint64_t i,
   }
   if (task == HURDLE || task == GAP)
     recipe.seed = i;
-  (void)mo_terrain_draw(&recipe, environment, NULL); /* within the bounds of every family */
+  /* Cannot fail: within the bounds of every family. */
+  (void)mo_terrain_draw(&recipe, environment, NULL);
 }
 
 /* ---- sets ---- */

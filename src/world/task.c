@@ -61,7 +61,7 @@ double mo_objective_value(enum mo_objective objective, double loss)
 /* ---- the terms of a sum ---- */
 
 #define TERM(measure) (1U << MO_MEASURE_##measure)
-/* Measures that may have no value, or that are good or bad on both sides of 0. */
+/* Measures that may have no value, or whose sign says nothing about good or bad. */
 #define NO_TERMS (TERM(HEADING_ERROR) | TERM(COST_OF_TRANSPORT) | TERM(SIDEWAYS))
 /* Measures that have a derivative. */
 #define SMOOTH                                                                                     \
@@ -296,7 +296,7 @@ int mo_task_check(const struct mo_task *task, struct mo_message *message)
     error = check_kind(guide, message);
   if (error != MO_OK)
     return error;
-  /* So that equal tasks have equal hashes. */
+  /* Unused fields must be 0, so that equal tasks have equal hashes. */
   const struct mo_guide used = used_of(guide);
   if (!guides_are_equal(&used, guide))
     return mo_fail(message, MO_ERR_INVALID,

@@ -55,7 +55,7 @@ void mo_task_named(int i, struct mo_environment *environment)
 static void read_points(struct mo_json *json, void *value);
 static const struct mo_field_own points = {.read = read_points};
 
-/* Offsets are in struct mo_environment. The row of the points is at the guide. */
+/* Offsets are in struct mo_environment. The offset of the points is that of the guide. */
 #define AT(member) offsetof(struct mo_environment, member)
 static const struct mo_field rows[] = {
     {"kind", MO_FIELD_WORD, 0, AT(task.guide.kind), .words = mo_guide_words, .unit = "",
@@ -123,7 +123,7 @@ static void read_points(struct mo_json *json, void *value)
   guide->n_points = n;
 }
 
-/* Reads the guide into the environment. *given: the members that were there, as bits. */
+/* Reads the guide into the environment. *given: the members that were present, as bits. */
 static void read_guide(struct mo_json *json, struct mo_environment *environment, unsigned *given)
 {
   struct mo_json_slice key;
@@ -173,8 +173,8 @@ static void complete_guide(struct mo_environment *environment, unsigned given)
 
 /* ---- reading ---- */
 
-/* Adds a term in its place. Returns its index, or −1 if it is already present. A full sum loses its
- * last term, which the caller detects by the number of terms. */
+/* Adds a term in its place. Returns its index, or −1 if it is already present. If the sum is full,
+ * its last term is dropped; the caller detects this by the number of terms. */
 static int add_term(struct mo_task *task, uint32_t term, double weight)
 {
   uint32_t at = 0;
@@ -352,7 +352,7 @@ void mo_task_read(struct mo_json *json, struct mo_environment *environment)
 
 /* ---- damage ---- */
 
-/* In JSON; the environment has 1 + octant. */
+/* Damage in JSON; in the environment, it is 1 + octant. */
 struct damage {
   uint32_t octant;
   double time_s;
@@ -381,8 +381,8 @@ static void read_damage(struct mo_json *json, struct mo_environment *environment
 
 /* ---- factors ---- */
 
-/* Reads factors: those that are not given are 1, and an object in which all are 1 is the same as
- * none. */
+/* Reads factors: those that are not given are 1, and an object in which all are 1 is the same as no
+ * object. */
 static void read_factors(struct mo_json *json, struct mo_environment *environment)
 {
   const unsigned faults = json->faults->n;

@@ -30,7 +30,7 @@ struct asked {
 static void read_heights(struct mo_json *json, void *value);
 static const struct mo_field_own heights = {.read = read_heights};
 
-/* The row of the heights is at the start of the struct. Lengths are checked further when the
+/* The offset of the heights is the start of the struct. Lengths are checked further when the
  * terrain is drawn. */
 #define AT(member) offsetof(struct asked, member)
 #define LENGTH(member, most)                                                                       \
@@ -139,7 +139,7 @@ static void read_grid_row(struct mo_json *json, struct asked *asked)
     asked->columns = n < MO_GRID_SIDE_MAX ? n : MO_GRID_SIDE_MAX;
 }
 
-/* Reads the rows of a grid or the heights of a profile: the first item decides which. */
+/* Reads the rows of a grid or the heights of a profile: the first item determines which. */
 static void read_heights(struct mo_json *json, void *value)
 {
   struct asked *asked = value;

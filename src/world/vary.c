@@ -1,11 +1,11 @@
-/* vary.c: what variations do to an environment. */
+/* vary.c: applies variations to environments. */
 #include <math.h>
 #include <string.h>
 
 #include "world/factors.h"
 #include "world/terrain.h"
 
-/* Between two heights of a grid of 8 × 8, at most. */
+/* Largest distance between two heights of an 8 × 8 grid. */
 #define DIAGONAL_M (M_SQRT2 * MO_TERRAIN_SIZE_M)
 
 int mo_environment_vary(const struct mo_variation *by, struct mo_environment *environment)

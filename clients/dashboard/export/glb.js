@@ -87,7 +87,7 @@ export function toGlb(robot, options = {}) {
     asset: { version: '2.0', generator: 'morphod' },
     scene: 0,
     scenes: [{ nodes: [0] }],
-    // In the robots' world z is up, in glTF y.
+    // In the robots' world, z points up; in glTF, y does.
     nodes: [{ name, mesh: 0, rotation: [-Math.SQRT1_2, 0, 0, Math.SQRT1_2] }],
     materials: [{ name: 'skin', doubleSided: true,
       pbrMetallicRoughness: { baseColorFactor: [0.42, 0.6, 0.9, 1], metallicFactor: 0,

@@ -6,7 +6,7 @@
 import { resultOf } from '../lib/tasks.js';
 import { orderAt, raceOf } from '../stage/race.js';
 
-/** Modules of the stage, each after those that it imports. */
+/** Modules of the stage, each after the modules that it imports. */
 const MODULES = ['stage/math.js', 'stage/camera.js', 'stage/gl.js', 'stage/shaders.js',
   'stage/robot.js', 'stage/lanes.js', 'stage/stage.js', 'lib/body.js'];
 
@@ -109,7 +109,7 @@ export async function toPage(robots, title, isRace = false, areGhosts = false) {
   const sources = await Promise.all(MODULES.map(load));
   const worlds = [...new Set(robots.map((robot) => robot.world))];
   const [{ driven, frameS: everyS }] = robots;
-  // Only among ghosts does the leader look different; driven robots have no order.
+  // The leader looks different only among ghosts, and driven robots have no order.
   const race = areGhosts && !driven && raceOf(robots);
   const n = Math.max(...robots.map(({ frames }) => frames));
   const leaders = Array.from({ length: race ? n : 0 }, (_, frame) =>

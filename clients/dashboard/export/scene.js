@@ -34,7 +34,7 @@ export function toScene(robots, inputs) {
     ? { terrain: { kind: columns ? 'grid' : 'profile',
       heights_m: columns ? rows : [...heights], spacing_m: spacing } }
     : { terrain_heights_m: put(heights, [8, 8]) };
-  // Inputs that differ are with the rollouts, and null in the header.
+  // Inputs that differ between rollouts are stored with the rollouts, and are null in the header.
   const own = Object.keys(inputs[0]).filter((name) => inputs.some((one) =>
     JSON.stringify(one[name]) !== JSON.stringify(inputs[0][name])));
   const ownOf = (of) => Object.fromEntries(own.map((name) => [name, of?.[name] ?? null]));

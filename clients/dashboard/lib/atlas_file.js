@@ -1,11 +1,11 @@
 /**
- * Reads an atlas file (docs/atlas.md) and answers queries about it: the interface of
- * lib/atlas_http.js without a service. The functions are those of include/morpho/atlas.h, with the
- * same definitions and orders.
+ * Reads an atlas file (docs/atlas.md) and answers queries about it: it has the interface of
+ * lib/atlas_http.js, but needs no service. The functions are those of include/morpho/atlas.h, with
+ * the same definitions and orders.
  *
  * A body is a list of places on the lattice of the workspace. Of its eight images, the canonical
  * one has the smallest sides and, of these, the largest key: the rank of its sorted voxels among
- * all sets of as many voxels. Keys of ten voxels have 50 bits, so a Number holds them.
+ * all sets with the same number of voxels. Keys of ten voxels have 50 bits, so a Number holds them.
  */
 
 const MAGIC = 'morphod atlas\r\n\0';
@@ -24,16 +24,17 @@ const GUIDES = ['fixed', 'ahead', 'turning', 'path', 'moving'];
 const OBJECTIVES = ['reach', 'approach', 'travel', 'follow', 'climb', 'pursue', 'efficient',
   'jump'];
 const STEPS = [[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]];
-/** Work that takes longer lets the page draw in between. */
+/** Work that takes longer pauses to let the page draw. */
 const BUSY_MS = 12;
 const GROW_SHRINK = ['add', 'remove'];
 
 const align = (bytes) => Math.ceil(bytes / 8) * 8;
 
-/** Something that the atlas does not have. */
+/** Thrown for something that the atlas does not contain. */
 export class AtlasError extends Error {}
 
-/** Returns the task of a packed environment as far as words need it (src/world/environment.h). */
+/** Returns the parts of a packed environment's task that descriptions need
+ * (src/world/environment.h). */
 function taskOfPacked(view, at, version) {
   if (version < 2) return { objective: 'reach', guide: { kind: 'fixed' } };
   const numbers = 105 + (version > 2 ? 1 : 0) + (version > 3 ? 1 : 0) + (version > 4 ? 8 : 0) +
@@ -173,7 +174,7 @@ export class AtlasFile {
     }
     this.keys = new Float64Array(this.n);
     this.scores = new Float32Array(this.n);
-    /** Where the losses of each body are. */
+    /** Offset of the losses of each body. */
     this.lossesAt = new Float64Array(this.n);
     /** By measure; NaN: the body has no value. */
     this.values = Object.fromEntries(this.measures.map((name) => [name, new Float32Array(this.n)]));
@@ -321,7 +322,7 @@ export class AtlasFile {
 
   // ---- neighbors ----
 
-  /** Calls `use(cells, step)` for each changed body, some of them several times. */
+  /** Calls `use(cells, step)` for each changed body; some occur several times. */
   #eachChange(cells, steps, use) {
     const name = (cell) => cell[0] * 10000 + cell[1] * 100 + cell[2];
     const withEach = (rest, never, step) => {
@@ -404,7 +405,7 @@ export class AtlasFile {
         }
       }
       const bodies = new Uint32Array(n);
-      for (const body of this.sorted[0]) { // the better ones are known
+      for (const body of this.sorted[0]) { // the optima of better bodies are known
         best[body] = best[body] < 0 ? body : best[best[body]];
         bodies[best[body]]++;
       }
@@ -449,7 +450,7 @@ export class AtlasFile {
   #percentileOf(name, position) {
     const size = this.sizeOf(position);
     const value = this.values[name][position];
-    let [lower, equal, others] = [0, -1, -1]; // without the body itself
+    let [lower, equal, others] = [0, -1, -1]; // does not count the body itself
     for (let i = this.firsts[size]; i < this.firsts[size + 1]; i++) {
       const other = this.values[name][i];
       lower += Number(other < value);

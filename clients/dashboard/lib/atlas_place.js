@@ -1,9 +1,10 @@
-/** Pictures of neighbors: a canonical form, turned and moved so that it looks like another body. */
+/** For pictures of neighbors: turns and moves a canonical form so that it looks like another
+ * body. */
 
 import { WORKSPACE, cellsOf, genotypeOf, genotypeOfId } from './body.js';
 
-/** Names a cell, even one that is outside the workspace by less than its sides. Numbers, because a
- * page places some twenty bodies at once. */
+/** Returns a number for a cell, even for one outside the workspace by less than its sides. Numbers
+ * are fast: a page places some twenty bodies at once. */
 const nameOf = (x, y, z) => (x + 16) * 4096 + (y + 16) * 64 + z + 16;
 
 /**
@@ -37,7 +38,7 @@ export function placeLike(genotype, id) {
     }
   }
   const isNew = best.cells.map(([x, y, z]) => !taken.has(nameOf(x, y, z)));
-  // It may reach out of the workspace where the other body stands at its edge.
+  // The image may extend beyond the workspace if the other body is at its edge.
   const back = WORKSPACE.map((side, axis) => {
     const at = best.cells.map((cell) => cell[axis]);
     return Math.max(0, -Math.min(...at)) + Math.min(0, side - 1 - Math.max(...at));
@@ -47,7 +48,8 @@ export function placeLike(genotype, id) {
     added: new Set(cells.filter((_, i) => isNew[i]).map(String)) };
 }
 
-/** Returns a genotype in the middle of the workspace, on the ground: there is room to build. */
+/** Returns a genotype in the middle of the workspace, on the ground, so that there is room to
+ * build. */
 export function centered(genotype) {
   const cells = cellsOf(genotype);
   const step = WORKSPACE.map((side, axis) => {

@@ -69,8 +69,8 @@ export function genotypeOf(cells) {
 
 /**
  * Returns the genotype of a robot, ID@K: image K of the canonical form that the id (36 hexadecimal
- * digits) spells. For an id without K it is that form. The bits of K: 4, the first, swaps x and y;
- * 1 mirrors in x, 2 in y.
+ * digits) spells. For an id without K, returns the canonical form itself. The bits of K: 4, which
+ * is applied first, swaps x and y; 1 mirrors in x, 2 in y.
  */
 export function genotypeOfId(robot) {
   const [id, k] = robot.split('@');

@@ -111,7 +111,7 @@ export class Chart {
     this.element = h('figure.panel.chart', {},
       h('figcaption', {}, h('h3', {}, options.title), note ? h('span.muted', {}, note) : null,
         this.legend, h('span.row', {}, this.whole, this.logToggle)), this.canvas, this.readout);
-    /** What is wrong with the link. */
+    /** Explains what is wrong with the link. */
     this.fault = h('p.error', { 'aria-live': 'polite', hidden: true });
     this.element.append(this.fault);
     this.#listen(!xRange);
@@ -184,7 +184,7 @@ export class Chart {
     this.update();
   }
 
-  /** Shows what the group has chosen. */
+  /** Shows the state of the group. */
   update() {
     const { group, options: { key, log = false, xName } } = this;
     const known = this.series.filter((s) => !s.silent);
@@ -378,7 +378,7 @@ export class Chart {
     context.beginPath();
     const [first, last] = this.#inView(s, scale);
     if (last - first > DENSE * context.canvas.width) {
-      // Going up and down in every column would take most of the drawing time.
+      // Drawing a line up and down in every column would take most of the time.
       context.fillStyle = color;
       this.#envelope(context, s, s.y, s.y, scale);
       context.fill();
@@ -510,7 +510,7 @@ export class Chart {
     const factor = { '+': 0.5, '=': 0.5, '-': 2 }[event.key];
     if (to !== undefined) {
       const x = main.x[Math.min(last, Math.max(0, to))];
-      // The view follows the cursor.
+      // The view moves with the cursor.
       const off = Math.min(0, x - (group.zoom?.[0] ?? x)) + Math.max(0, x - (group.zoom?.[1] ?? x));
       if (off) group.zoomTo(group.zoom.map((end) => end + off));
       group.point(x, this);

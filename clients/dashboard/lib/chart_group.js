@@ -1,4 +1,4 @@
-/** What the charts of a page share: the range of x, the cursor, and what their link keeps. */
+/** State that the charts of a page share: the range of x, the cursor, and what the link records. */
 
 import { LinkError } from './api.js';
 import { h, select } from './dom.js';
@@ -47,7 +47,7 @@ export class ChartGroup {
   /** Shows a range of x in all charts; null: all of it. */
   zoomTo(range) {
     const rounded = range?.map((x) => Number(x.toPrecision(6))) ?? null;
-    if (rounded && !(rounded[1] > rounded[0])) return; // a link could not name it
+    if (rounded && !(rounded[1] > rounded[0])) return; // a link could not express it
     this.zoom = rounded;
     this.#changed();
   }
@@ -86,13 +86,13 @@ export class ChartGroup {
   }
 }
 
-/** Returns the sums of the rows up to each. */
+/** Returns the cumulative sums of the rows. */
 export function sums(rows, take) {
   let sum = 0;
   return Float64Array.from(rows, (row) => { sum += take(row) ?? 0; return sum; });
 }
 
-/** Returns how charts show an axis. whole: the axis that has no values between whole numbers. */
+/** Returns the options of charts for an axis. whole: the axis that has only whole numbers. */
 export const axisOptions = (axis, whole, time) => ({
   xName: axis === 'time' ? time.name : axis, isWhole: axis === whole,
   xText: (x) => number(x, axis === 'time' ? 4 : 6),

@@ -1,6 +1,7 @@
 /**
  * The settings that a request leaves to the service, by kind, mode and preset. The contract
- * describes those of a preset only in words; a test compares these with what the service uses.
+ * describes the settings of a preset only in words; a test compares those here with what the
+ * service uses.
  */
 
 /** The presets of campaigns: population, and generations by mode. */
@@ -58,7 +59,7 @@ const SELECTIONS = {
   'age-layered': { layers: 4, age_gap: 5 },
 };
 
-/** Returns the settings of an evaluation; null where a request has nothing. */
+/** Returns the settings of an evaluation; null where a request gives no value. */
 export const usualEvaluation = (job, preset, periodS) => ({
   environments: 'paper-test', precision: 'float32', record: [], verify: false, best: null,
   measures: null, tolerance: null, displaced_starts: null, record_stride: 10,
@@ -91,8 +92,8 @@ export function usualTraining(job, preset, periodS) {
 }
 
 /**
- * Returns where robots learn by default: in the campaign's environments if random ones do not have
- * what one of these has. Undefined if that is not known.
+ * Returns where robots learn by default: in the campaign's environments if one of them has
+ * something that random ones lack. Undefined if that is not known.
  * @param {string|{count: number}} named
  * @param {any[]} [places] the environments, if they are loaded
  */

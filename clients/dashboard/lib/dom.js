@@ -1,4 +1,5 @@
-/** Building the page: elements without a framework. Text is always set as text, never as markup. */
+/** Builds the page from elements, without a framework. Text is always set as text, never as
+ * markup. */
 
 const SVG = 'http://www.w3.org/2000/svg';
 
@@ -53,7 +54,7 @@ export function fill(element, ...children) {
   return element;
 }
 
-/** Sets a text in place. An equal text stays untouched, and so does the selection. */
+/** Sets a text in place. If the text is the same, nothing changes, so a selection in it stays. */
 export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
@@ -63,7 +64,7 @@ export const isInUse = (element) => element.matches(':focus-within, :active');
 
 /**
  * Shows a list in place. Each item has one element, made once and found again by its key, so that a
- * refresh takes away neither focus, nor input, nor a press. An element in use does not even move:
+ * refresh interrupts neither focus, nor input, nor a press. An element in use does not even move:
  * the others move around it.
  * @template T
  * @param {Element} parent has only the elements of the list
@@ -102,7 +103,8 @@ export function patch(parent, list, key, make, update = () => {}) {
 }
 const parents = new WeakMap();
 
-/** Updates the cells of a row. Equal cells stay, so their listeners may only use the key. */
+/** Updates the cells of a row. Cells that are equal stay, so their listeners may use only the
+ * key. */
 export function patchRow(row, cells) {
   [...cells].forEach((cell, i) => {
     const own = row.cells[i];
@@ -116,7 +118,7 @@ export function button(text, onclick, attributes = {}) {
   return h('button', { type: 'button', onclick, ...attributes }, text);
 }
 
-/** Returns a button that stays pressed: aria-pressed has its state. */
+/** Returns a button that stays pressed: aria-pressed is its state. */
 export function toggle(text, pressed, onchange, attributes = {}) {
   const element = button(text, () => {
     const now = element.getAttribute('aria-pressed') !== 'true';
@@ -134,12 +136,12 @@ export const choice = (label, choices, value, onchange) =>
       return h('option', { value: key, selected: key === value }, text);
     }));
 
-/** Returns the same below its name. */
+/** Returns the same, with its name above it. */
 export const select = (label, choices, value, onchange) => h('label.field', {},
   h('span', {}, label), choice(label, choices, value, onchange));
 
-/** Returns a table with its head. isRight: gets a name and its position; numbers are
- * right-aligned. */
+/** Returns a table with its head. isRight(name, position): whether a column is right-aligned, as
+ * numbers are. */
 export function table(names, body, isRight = (name, i) => false, tag = 'table.cards') {
   return h(tag, {}, h('thead', {}, h('tr', {}, names.map((name, i) =>
     h(isRight(name, i) ? 'th.right' : 'th', { scope: 'col' }, name)))), body);
@@ -159,7 +161,7 @@ export function swatch(color, kind = '') {
 }
 
 /**
- * Prepares a canvas to be redrawn at its current size, or returns null if it has none. color:
+ * Prepares a canvas to be redrawn at its current size, or returns null if it has no size. color:
  * returns the color of such a name.
  */
 export function paint(canvas) {
@@ -177,7 +179,7 @@ export function paint(canvas) {
   return { context, width, height, color };
 }
 
-/** A note stays this long; a refusal stays until it is closed, or until the next page. */
+/** A note is shown for this long; a refusal until it is closed, or until the next page. */
 const TOAST_MS = 6000;
 let toastEnds;
 

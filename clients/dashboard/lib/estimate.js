@@ -1,4 +1,4 @@
-/** How long a request will take here, estimated from the time that earlier rollouts took (GET
+/** Estimates how long a request will take here from the time that earlier rollouts took (GET
  * /v1/rates). */
 
 import { getJson, post } from './api.js';
@@ -8,9 +8,10 @@ import { countOf, duration } from './format.js';
 
 /** Environments, unless a request says otherwise; bodies of a measurement, and their steps. */
 const [ENVIRONMENTS, MEASURED, MEASURED_STEPS] = [10, 3, 400];
-/** Fewer steps say little. */
+/** Fewer steps are not enough for an estimate. */
 const STEPS_MIN = 10000;
-/** The mean number of springs of random bodies; their survivors have about twice as many. */
+/** The mean number of springs of random bodies; bodies that survive evolution have about twice as
+ * many. */
 const [RANDOM, EVOLVED] = [250, 500];
 /** A gradient takes about as long as this many rollouts. */
 const GRADIENT = 6;
@@ -53,7 +54,7 @@ const partOf = (blocks, worlds, springs) => ({ rollouts: blocks * worlds, blocks
  * @param {string} kind
  * @param {any} request with all numbers, including those that a preset stands for
  * @param {{periodS: number, environments?: number, isUnknown?: boolean}} of periodS: of the
- *   controller; isUnknown: the bodies to learn on are
+ * controller; isUnknown: the bodies to learn on are unknown
  * @returns {Plan|null}
  */
 function planOf(kind, request, { periodS, environments = ENVIRONMENTS, isUnknown }) {

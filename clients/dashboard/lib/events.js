@@ -12,8 +12,8 @@ const CHANNEL = 'morphod-events';
 export const isNews = ({ type }) => type !== 'reset' && !type.endsWith('progress');
 
 /**
- * Runs work soon after a request, and again if another request arrived in the meantime: never twice
- * at once, and the last run starts after the last request. After a failure, the next event retries.
+ * Runs work soon after a request, and again if another request arrived in the meantime. Runs never
+ * overlap, and the last run starts after the last request. After a failure, the next event retries.
  * @param {() => Promise<any>} work
  * @param {AbortSignal} signal ends it
  */
@@ -52,13 +52,13 @@ export class Events {
     this.listeners.add(listener);
   }
 
-  /** Streams, or stops, as isKept says now. */
+  /** Starts or stops streaming, depending on isKept. */
   wake() {
     this.#change();
   }
 
-  /** Notes the number of the newest event, so that later reads miss none, and returns it. `wake`
-   * starts to stream. */
+  /** Records the number of the newest event, so that later reads miss no events, and returns it.
+   * `wake` starts to stream. */
   async start() {
     const page = await getJson('v1/events?format=json&after=0&limit=1');
     this.last = Number(page.newest);
@@ -83,7 +83,7 @@ export class Events {
   }
 
   async #run(signal) {
-    // First, once: the events while this page was hidden or waited for the lock.
+    // First, once, read the events that occurred while this page was hidden or waited for the lock.
     const work = () => this.#stream(signal);
     if (navigator.locks) {
       this.#catchUp(signal);
@@ -102,7 +102,7 @@ export class Events {
         if (page.next_cursor === null || !page.items.length) return;
       }
     } catch {
-      // The stream or the next visit delivers them.
+      // The stream or the next visit will deliver them.
     }
   }
 

@@ -1,4 +1,4 @@
-/** What a list of jobs does not have: the name of each task, and the best of an evaluation. */
+/** Facts that a list of jobs lacks: the name of each task, and the best design of an evaluation. */
 
 import { getJson, withQuery } from './api.js';
 import { countOf, inOwnUnit, score, scoreOf } from './format.js';
@@ -31,7 +31,7 @@ async function inTurn(work, signal) {
         waiting.delete(start);
         reject(signal.reason);
       };
-      const start = () => { // takes the place of work that ended
+      const start = () => { // starts in place of work that ended
         waiting.delete(start);
         signal.removeEventListener('abort', drop);
         resolve();
@@ -64,7 +64,7 @@ async function worldsOf(job) {
   return { task: taskNameOf(named, environments), measure: measureOf(environments) };
 }
 
-/** Returns the best of an evaluation's designs; null if it is not known here. */
+/** Returns the best design of an evaluation; null if it is not known here. */
 async function bestOfEvaluation(job) {
   if (job.state !== 'succeeded' || job.n_designs > READ_MAX || isSuite(job.environments)) {
     return null;
@@ -80,8 +80,8 @@ async function bestOfEvaluation(job) {
 
 /**
  * Loads the facts of a job once: {task, measure, best}. They never change, except that an
- * evaluation has a best only once it has succeeded. What has not been requested when the signal
- * aborts is never requested: the promise is rejected.
+ * evaluation has a best only once it has succeeded. If the signal aborts, what was not yet
+ * requested is never requested, and the promise is rejected.
  * @param {any} job
  * @param {AbortSignal} signal
  */

@@ -1,7 +1,7 @@
 /**
- * The kinds of jobs. Everything that depends on the kind of a job is in its row of this table: what
- * pages call it, where its page is, its tabs, and how its progress and its best score read. A new
- * kind needs a row here and a page.
+ * The kinds of jobs. Everything that depends on the kind of a job is in a row of this table: its
+ * name on pages, the address of its page, its tabs, and how its progress and its best score are
+ * described. A new kind needs a row here and a page.
  */
 
 import {
@@ -15,7 +15,7 @@ export const partOf = (job) => job[job.kind] ?? job;
 /** Returns the progress of a job; lists have it in a short form. */
 const progressIn = (job) => job.progress ?? { under_way: null, total: 0, ...partOf(job) };
 
-/** What a campaign does within a generation, by its phase, and what is counted. */
+/** What is counted within a generation of a campaign, by phase. */
 const WITHIN = { learning: 'steps learned', scoring: 'designs scored' };
 
 /** Describes the progress of a job that counts what is done. */
@@ -91,7 +91,8 @@ function progressOfStudy(job) {
  * @property {(job: any) => any} worlds where it scores or learns: a named set, {count}, or null
  * @property {(job: any) => string|null} environments the path of its environments
  * @property {(job: any) => any} settings as the service used them, by the names of a request
- * @property {(job: any) => string[]} presets that the settings may be of, if the job does not say
+ * @property {(job: any) => string[]} presets that the settings may come from, if the job does not
+ *   say
  * @property {(job: any, preset: string, periodS: number, places?: any[]) => any} usual the settings
  *   of a preset, for a controller with this control period, in these environments
  */
@@ -139,7 +140,7 @@ const campaign = {
   compares: 'scores', progress: progressOfCampaign, scored: 'best score',
   score: (job) => job.newest?.score.quantiles.p0 ?? partOf(job).best_score ?? null,
   worlds: (job) => job.settings?.environments ?? partOf(job).environments,
-  // Replicates share them, and so the request.
+  // Replicates share their environments, and therefore this request.
   environments: (job) => `v1/campaigns/${groupOf(job)?.id ?? job.id}/environments`,
   settings: (job) => job.settings, presets: () => Object.keys(CAMPAIGN_PRESETS),
   usual: usualCampaign,
@@ -198,7 +199,7 @@ export const titleOf = (job) =>
 /** Returns the group of replicates that a job is in, if it is in one. */
 export const groupOf = (job) => partOf(job).group ?? null;
 
-/** Returns which of several replicates a job is: ", replicate 1 of 3". */
+/** Describes which replicate a job is: ", replicate 1 of 3". */
 export function replicateOf(job) {
   const group = groupOf(job);
   return group?.replicates > 1 ? `, replicate ${group.replicate + 1} of ${group.replicates}` : '';

@@ -1,7 +1,7 @@
 /**
- * The layout of a phylogeny: typed arrays, no object per design, so that a million designs take a
- * fraction of a second. Designs are numbered in order of birth, so a parent's number is always
- * lower.
+ * The layout of a phylogeny. It uses typed arrays, and no object per design, so that a million
+ * designs take a fraction of a second. Designs are numbered in order of birth, so a parent's number
+ * is always lower.
  */
 
 /** In a column of parents: no parent. */

@@ -1,6 +1,6 @@
 /**
  * Names of robots: two words computed from an id, such as "amber crawler". A name is easy to say
- * and to remember; the id is the identity, because two designs may share a name.
+ * and to remember, but only the id identifies a design, because two designs may share a name.
  */
 
 /** 256 words of each kind. A change would rename all robots. */

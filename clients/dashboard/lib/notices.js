@@ -1,4 +1,4 @@
-/** Notices at the end of runs, where the user requested one, even while the tab is hidden. */
+/** Notices at the end of runs, if the user requested them, even while the tab is hidden. */
 
 import { getJson, storing } from './api.js';
 import { announce, toggle } from './dom.js';
@@ -7,7 +7,7 @@ const KEY = `morphod-notices ${location.pathname}`;
 const RETRY_MS = 5000;
 const HIDDEN_MS = 1500;
 let kept = [];
-/** The last message, which more runs join while it stands. */
+/** The last message, to which further runs are added while it is shown. */
 let notice = '';
 
 /** Returns the ids of the runs. @returns {string[]} */
@@ -32,7 +32,7 @@ function notify(text, { id }, link) {
       shown.close();
     };
     return true;
-  } catch { // there are none here: phones, pages without TLS
+  } catch { // not available here: phones, pages without TLS
     return false;
   }
 }
@@ -54,7 +54,7 @@ export function followNotices(app) {
       const { isOver, linkOf, stateOf, titleOf } = await import('./kinds.js');
       if (job.state === 'deleted') want(id, false);
       if (job.state === 'unknown') setTimeout(check, RETRY_MS);
-      // A visible tab is first: without notifications, the others can only change their title.
+      // A visible tab goes first: without notifications, hidden ones can only change their title.
       if (document.hidden) await new Promise((resolve) => setTimeout(resolve, HIDDEN_MS));
       if (!isOver(job) || !want(id, false)) return;
       const text = `${titleOf(job)}: ${stateOf(job)}`;

@@ -56,7 +56,7 @@ export async function recorded(evaluation, rows, environment, signal, onmore) {
 /** The channels that the stage shows. */
 export const CHANNELS = ['masses', 'actuation', 'contacts'];
 
-/** Rollouts per request, and requests at once: robots come in groups, in their order. */
+/** Rollouts per request, and concurrent requests: robots arrive in groups, in order. */
 const ROLLOUTS_AT_ONCE = 8;
 const REQUESTS_AT_ONCE = 2;
 const FRAME_S = 0.04;
@@ -91,7 +91,7 @@ export async function roll(designs, environment, options = {}) {
   for (let next = 0; robots.length < designs.length;) {
     while (asked.length < REQUESTS_AT_ONCE && next < designs.length) {
       asked.push(group(next));
-      asked.at(-1).catch(() => {}); // it is reported in its turn
+      asked.at(-1).catch(() => {}); // its error is reported when its turn comes
       next += ROLLOUTS_AT_ONCE;
     }
     robots.push(...await asked.shift());
@@ -126,12 +126,12 @@ export async function scoresOf(design, environments, options = {}) {
  * any[]}} task */
 export const worldsOf = async ({ set, environments }) => (set ? environmentSet(set) : environments);
 
-/** How long a window of a drive is, about: a robot turns toward the light only when a window
+/** Approximate duration of a window of a drive: a robot turns toward the light only when a window
  * ends. */
 const WINDOW_S = 0.08;
 
-/** Returns how a drive is cut, regardless of the time step: steps per frame and frames per
- * window. */
+/** Returns how a drive is cut, with about the same durations for any time step: steps per frame and
+ * frames per window. */
 export function windowOf({ dt_s: stepS = STEP_S } = {}) {
   const stride = Math.max(1, Math.round(FRAME_S / stepS));
   const frameS = stride * stepS;

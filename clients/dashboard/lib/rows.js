@@ -1,4 +1,5 @@
-/** Long tables: rows are drawn when they come near the window, so a thousand scroll like ten. */
+/** Long tables: rows are drawn when they come near the visible area, so a thousand rows scroll as
+ * fast as ten. */
 
 import { patch } from './dom.js';
 

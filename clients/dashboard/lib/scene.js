@@ -32,7 +32,7 @@ export function decodeScene(buffer) {
   return { header, array };
 }
 
-/** Returns the positions of 16 bits of a rollout in meters. */
+/** Returns the 16-bit positions of a rollout in meters. */
 function metersOf(rollout, array) {
   const { masses_int16: numbers, masses_origin_m: origin, masses_unit_m: unit } = rollout;
   return Float32Array.from(array(numbers), (value, i) => origin[i % 3] + value * unit);

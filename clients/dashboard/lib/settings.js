@@ -71,7 +71,7 @@ const inOrder = (value) => JSON.stringify(value,
  * @param {any} settings
  * @param {any} usual the preset's, of the same shape; undefined where it has none
  * @returns {{group: string, name: string, path: string[], title: string, text: string, value: any,
- *   usual: any, differs: boolean, isUnknown: boolean}[]} isUnknown: the preset's lacks it
+ * usual: any, differs: boolean, isUnknown: boolean}[]} isUnknown: the preset does not have it
  */
 export function rowsOfSettings(settings, usual, path = []) {
   return Object.entries(settings).flatMap(([name, value]) => {
@@ -86,8 +86,8 @@ export function rowsOfSettings(settings, usual, path = []) {
 }
 
 /**
- * Returns the settings of a job with those of its preset. Where the service does not keep the
- * preset, it is the one with the fewest differences.
+ * Returns the settings of a job with those of its preset. If the service does not store the preset,
+ * the one with the fewest differences is assumed.
  * @param {any} job
  * @param {number|null} periodS control period of the controller that it starts with; null: unknown
  * @param {any[]} [places] its environments, which decide where a campaign learns by default

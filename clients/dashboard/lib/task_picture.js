@@ -8,10 +8,11 @@ import { spelledOut } from './tasks.js';
 
 /** Pixels: the box of the path, and the largest scale, per meter. */
 const [LEFT, TOP, WIDE, HIGH, SCALE_MAX] = [7, 6, 50, 21, 40];
-/** Ground is drawn this much steeper than it is, and at most this high, from the lowest place. */
+/** Factor by which the ground is drawn steeper, its largest height above the lowest point, and its
+ * position. */
 const [STEEPER, GROUND_HIGH, GROUND_Y] = [40, 9, 41];
 const START_M = [2.5, 2.5];
-/** How a robot walks: like the median of random bodies in 4 s. */
+/** Distance that the robot walks: the median of random bodies in 4 s. */
 const WALK_M = 1.6;
 const PARTS = 24;
 

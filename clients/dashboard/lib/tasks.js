@@ -15,8 +15,8 @@ const slope = (rise) => Array.from({ length: 64 },
 const SETS = { photo: 'paper-test', walk: 'morpho-12-walk', climb: 'morpho-12-up',
   circle: 'morpho-12-circle', path: 'morpho-12-path', shuttle: 'morpho-12-shuttle' };
 
-/** The tasks in forms and in the bar: title, what the robot is to do, and what a request has as its
- * environments (undefined: the default set). */
+/** The tasks in forms and in the bar: title, what the robot is to do, and the environments of a
+ * request (undefined: the default set). */
 export const TASKS = [
   { name: 'photo', title: 'Reach the light', about: 'Go to ten lights on rough ground (paper-test)',
     environments: undefined },
@@ -72,7 +72,7 @@ export function taskOf(name) {
   return points ? drawnTask(points) : TASKS.find((task) => task.name === name);
 }
 
-/** What only training runs offer first. */
+/** The first choice of training runs, which only they offer. */
 export const ANY_LIGHT = { name: 'random', title: 'Reach the light',
   about: 'Go to stationary lights', environments: undefined };
 
@@ -80,7 +80,7 @@ export const ANY_LIGHT = { name: 'random', title: 'Reach the light',
 export const SUITE = { name: 'morpho-12', title: 'All twelve tasks',
   about: 'Ten worlds of each task (morpho-12)', environments: 'morpho-12', count: 120 };
 
-/** What the names of tasks in requests stand for. */
+/** What the names of tasks in requests mean. */
 const ahead = { kind: 'ahead' };
 const path = (...points) => ({ kind: 'path', points_m: points });
 const NAMED = {
@@ -99,7 +99,7 @@ const NAMED = {
 export const spelledOut = (task) => NAMED[task] ??
   { guide: { kind: 'fixed' }, objective: 'reach', ...(typeof task === 'object' ? task : {}) };
 
-/** What the scores of objectives are, with the unit; without one, lower is better. */
+/** What the scores of objectives measure, with the unit; without a unit, lower is better. */
 const closeness = 'mean distance to the light, 1 at the start';
 const SCORES = {
   reach: 'distance to the light at the end, 1 at the start', approach: closeness,
@@ -128,9 +128,9 @@ const SCALES_M = { travel: 1, follow: 1, climb: 0.1, jump: 0.1 };
 const VERBS = { travel: 'walked', follow: 'followed', climb: 'climbed', jump: 'jumped' };
 
 /**
- * Returns how to show the scores of a job in meters: its verb, and a function that turns a mean
- * loss into the value that has this loss. That value is at most the mean of the values. Returns
- * null unless all environments have the same objective, one that is measured in meters.
+ * Returns how to show the scores of a job in meters: a verb, and a function from a mean loss to the
+ * value with this loss. That value is at most the mean of the values. Returns null unless all
+ * environments have the same objective, one that is measured in meters.
  * @param {{task?: {objective: string}}[]} environments
  */
 export function measureOf(environments) {
@@ -147,7 +147,7 @@ export const meters = (value) => (value === null || !Number.isFinite(value) ? '�
 
 /**
  * Formats the result of a rollout: its value with its unit, or its loss; "driven" if the user moved
- * the light, because that is the score of no world.
+ * the light, because such a result is not a score in any world.
  * @param {{value?: number|null, unit?: string, loss?: number|null, driven?: boolean}} rollout
  */
 export const resultOf = ({ value = null, unit, loss, driven }) => {
@@ -156,7 +156,7 @@ export const resultOf = ({ value = null, unit, loss, driven }) => {
   return unit === 'm/kJ' && value !== null ? `${value.toFixed(3)} m/kJ` : score(loss);
 };
 
-/** Returns which scores in a unit of `resultOf` are better. */
+/** Says which scores are better, for a unit of `resultOf`. */
 export const betterOf = (unit) => (unit === 'm' || unit === 'm/kJ' ? '↑ higher is better'
   : '↓ lower is better');
 
@@ -165,9 +165,9 @@ export const worldWords = ({ set, environments }) => (set ? `mean over the ten w
   : environments.length === 1 ? 'in one world' : `mean over ${environments.length} worlds`);
 
 /**
- * Describes a loss of the task `photo`, which is the distance to the light at the end over that at
- * the start: [what stands out, the rest of the sentence]. The share of the distance is rounded
- * down.
+ * Describes a loss of the task `photo`, which is the distance to the light at the end, divided by
+ * that at the start: [the emphasized part, the rest of the sentence]. The share of the distance is
+ * rounded down.
  */
 export function wayOf(loss) {
   if (loss === null) return ['It diverged', ', so it has no score.'];

@@ -1,6 +1,6 @@
 /**
- * The tray: robots that were chosen on any page, to be watched, compared or bred together. It lasts
- * until the tab is closed.
+ * The tray: robots that were chosen on any page, to be watched, compared or bred together. It is
+ * kept until the tab is closed.
  */
 
 import { storing } from './api.js';
@@ -9,7 +9,8 @@ const TRAY_KEY = 'morphod-tray';
 export const TRAY_MAX = 64;
 
 /**
- * A robot in the tray. A design is in it once, in the orientation in which it was added first.
+ * A robot in the tray. A design is in the tray only once, in the orientation in which it was first
+ * added.
  * @typedef {{robot: string, genotype: string, note: string}} Kept
  *   robot: ID@K; genotype: as it was added, anywhere in the workspace; note: its score, or its size
  */
@@ -38,8 +39,8 @@ export const tray = {
   },
 
   /**
-   * Adds robots at the end. Those whose design is in the tray, and those beyond its size, are left
-   * out. @param {Kept[]} robots @returns {Kept[]} those that were added
+   * Adds robots at the end. Those whose design is already in the tray, and those beyond its size,
+   * are left out. @param {Kept[]} robots @returns {Kept[]} those that were added
    */
   add(robots) {
     const added = [];

@@ -26,8 +26,8 @@ export function components(cells) {
 }
 
 /**
- * Returns the loose voxels of a body: those that are not in its largest piece. It walks only
- * without them.
+ * Returns the loose voxels of a body: those that are not in its largest piece. The body can walk
+ * only without them.
  */
 export const looseOf = (genotype) => components(cellsOf(genotype)).slice(1).flat();
 

@@ -18,7 +18,8 @@ export class Camera {
     /** Angle of the view above the horizon, in radians. */
     this.pitch = 0.4;
     this.distanceM = 2.2;
-    /** A longer lens shows the same from farther away, with less perspective. */
+    /** Focal length: a longer lens shows the same scene from farther away, with less
+     * perspective. */
     this.lens = 1;
     /** Scale of a view without perspective, in pixels per meter; 0 means perspective. */
     this.pixelsPerM = 0;
@@ -86,8 +87,8 @@ export class Camera {
 
 /**
  * Reports pointers on a canvas: drag(dx, dy, event) for one, pinch(factor, x, y) for two, and
- * click(x, y) for one that barely moved. If grab(x, y, event) returns something, it holds what lies
- * there: its move(x, y) and end() get this pointer instead.
+ * click(x, y) for one that barely moved. If grab(x, y, event) returns an object, the pointer has
+ * grabbed something: the object's move(x, y) and end() get this pointer instead.
  */
 export function onPointers(canvas, { drag, pinch, click = (x, y) => {}, grab = undefined }) {
   const pointers = new Map();

@@ -11,16 +11,16 @@
 const AHEAD_S = 0.8;
 /** How much must be ahead at the start. */
 const BEGIN_S = 0.5;
-/** A light that moved within this time may still be moving: more than a window ahead would be
- * wasted. */
+/** A light that moved within this time may still be moving, so computing more than a window ahead
+ * would be wasted. */
 const MOVING_MS = 120;
 /** While the light moves, the same window is computed again at most this often. */
 const AGAIN_MS = 60;
 /** A request covers at most this long. */
 const REQUEST_MAX_S = 0.8;
-/** Windows of a request last this many times as long as its reply takes. */
+/** The windows of a request cover this many times the duration of its reply. */
 const SPARE = 1.5;
-/** A reply that takes longer does not count as longer. */
+/** Longer replies count as this long. */
 const REPLY_MAX_MS = 1000;
 /** A reply may take this much longer than usual. */
 const MARGIN_MS = 15;
@@ -68,7 +68,7 @@ export class Drive {
     this.first = 0;
     /** Number of the first window whose states are kept. */
     this.stated = 0;
-    /** How long the motion has been held in total, because a window was missing. */
+    /** Total time for which the motion was held because a window was missing. */
     this.heldS = 0;
     this.hasBegun = false;
     this.isLate = false;
@@ -151,7 +151,7 @@ export class Drive {
   }
 
   #forget() {
-    // No window starts any more where one has been played.
+    // No window will start from one that has been played.
     while (this.stated < this.current) this.windows[this.stated++ - this.first].states = null;
     const most = Math.ceil(this.keepS / this.windowS);
     while (this.current - this.first > most) {
@@ -168,8 +168,8 @@ export class Drive {
     const isNew = this.windows.at(-1)?.movedMs === this.movedMs;
     const at = isNew || !this.end ? this.end : this.#branch();
     if (this.pending) {
-      // A window that only continues the old light is worth nothing now. One that already turns
-      // is: during a long drag, no window would ever end otherwise.
+      // A window that only continues with the old light is now worthless. One that already turns is
+      // worth keeping: otherwise, during a long drag, no window would ever be completed.
       const { movedMs, at: pendingAt, stop } = this.pending;
       if (movedMs === this.movedMs || pendingAt <= at || this.pending.isTurn) return;
       stop.abort();
@@ -216,7 +216,8 @@ export class Drive {
         signal: stop.signal });
       if (stop.signal.aborted || this.isClosed) return;
       const tookMs = this.now() - sentMs;
-      const share = tookMs > this.replyMs ? 0.5 : 0.2; // gaps are worse than a slow turn
+      const share = tookMs > this.replyMs ? 0.5 : 0.2; // adapts faster to slow replies, because
+                                                       // gaps are worse than a slow turn
       this.replyMs += share * (Math.min(tookMs, REPLY_MAX_MS) - this.replyMs);
       this.pending = null;
       this.#take(at, windows.map((parts, i) =>

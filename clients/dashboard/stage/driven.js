@@ -1,10 +1,10 @@
-/** What was driven, as recordings that the stage plays and exports, and the path of the light. */
+/** Recordings of a drive, for the stage to play and export, and the path of the light. */
 
 import { POINTS_MAX } from '../lib/tasks.js';
 import { repeat } from './live.js';
 import { heightAt } from './math.js';
 
-/** A path leaves out points that are this close to it. */
+/** Points this close to the rest of a path are left out. */
 const CLOSE_M = 0.05;
 
 /** Returns the windows that have played, or play now. */
@@ -20,7 +20,8 @@ const playedOf = ({ windows, first, current }) => windows.slice(0, current - fir
 export function drivenRobots(drive, live) {
   const { perWindow, frameS } = live;
   const played = playedOf(drive);
-  // If earlier windows are gone, the first that is kept is only needed for its last frame.
+  // If earlier windows were discarded, the first one that is kept is needed only for its last
+  // frame.
   const skipped = drive.first > 0 ? 1 : 0;
   const start = (drive.first + skipped) * perWindow;
   const frames = Math.max(1, Math.round(drive.timeS / frameS) - start + 1);

@@ -61,7 +61,7 @@ export class Program {
 
   /**
    * Sets uniforms by name; a texture takes the next free unit. Names that the program lacks are
-   * skipped, and so are values that it already has: arrays that are the same object. So do not
+   * skipped, and so are values that are already set. Arrays are compared as objects, so do not
    * change an array after it was set.
    */
   set(values) {
@@ -110,7 +110,8 @@ export const stageContext = (canvas, antialias) =>
 /** Returns whether the browser draws without a graphics processor. */
 export function isSoftware() {
   if (software === undefined) {
-    // The result decides how contexts are made. Without a graphics processor, this one will do.
+    // The result decides how contexts are made. Without a graphics processor, this canvas can be
+    // used.
     const canvas = document.createElement('canvas');
     const gl = stageContext(canvas, false);
     const about = gl?.getExtension('WEBGL_debug_renderer_info');

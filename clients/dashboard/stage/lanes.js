@@ -10,7 +10,7 @@ import { centerOfMass } from './robot.js';
 const LANES_MAX = 16;
 const FEW_LANES = 8;
 export const NARROW_PX = 640;
-/** Around what the robots and their lights cover, and between lanes. */
+/** Margin around the area of the robots and their lights, and gap between lanes. */
 const MARGIN_M = 0.06;
 const GAP_M = 0.05;
 /** Maximum distance to the side within a lane; smaller for many robots. */
@@ -57,8 +57,8 @@ export const lanesIn = (widthPx) => (widthPx < NARROW_PX ? FEW_LANES : LANES_MAX
 
 /**
  * Returns the lanes of a race, in the order of the robots from left to right. Coordinates along and
- * across a lane are in meters from the start; `lane` has their ranges. As ghosts, the robots share
- * the whole ground: then nothing is shifted, and there is no `lane`.
+ * across a lane are in meters from the start; `lane` has their ranges. Ghosts share the whole
+ * ground: nothing is shifted, and there is no `lane`.
  * @param {import('./stage.js').Robot[]} all
  * @param {number} max number of lanes
  */
@@ -111,7 +111,7 @@ export function lanesOf(all, max, areGhosts = false) {
 
 /** Half of the height of a picture at a distance of 1 m. */
 const HALF_M = Math.tan((19 * Math.PI) / 180);
-/** Pitches to try for a race; the one that shows the ground largest is used. */
+/** Pitches to try for a race; the one at which the ground appears largest is used. */
 const PITCHES = [1.15, 0.9, 0.6];
 /** Returns how large the ground of the lanes is in a picture. */
 const sizeIn = ({ pitch, distanceM }) => Math.sin(pitch) / distanceM ** 2;

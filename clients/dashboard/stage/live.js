@@ -23,7 +23,7 @@ export class Live {
     this.isSuspended = false;
     /** Number of the first frame that the robots have. */
     this.first = 0;
-    // The sun stays where it is when the light moves.
+    // The sun does not move when the light moves.
     /** @type {import('./stage.js').Robot['world']} */
     this.world = { ...robots[0].world, light, points: undefined,
       sunFrom: robots[0].world.sunFrom ?? robots[0].world.light };

@@ -98,8 +98,8 @@ export function normalize(a) {
 }
 
 /**
- * Returns how the heights of a world lie, as uniforms: 8 × 8 over 5 m × 5 m; with a spacing, a
- * profile along x that starts at x = 0; with columns as well, a grid around the start.
+ * Returns the layout of the heights of a world, as uniforms: 8 × 8 over 5 m × 5 m; with a spacing,
+ * a profile along x that starts at x = 0; with columns as well, a grid around the start.
  * @param {{heights: ArrayLike<number>, spacing?: number, columns?: number}} world
  */
 export function groundOf({ heights, spacing, columns }) {
@@ -108,7 +108,7 @@ export function groundOf({ heights, spacing, columns }) {
     : isProfile ? [heights.length, 1] : [8, 8];
   const step = spacing || 5 / 7;
   const sizes = sides.map((n) => (n - 1) * step);
-  // What is drawn in full: at most 8 m, and at least the usual 5 m.
+  // The area that is drawn: at most 8 m, and at least the usual 5 m.
   const [width, depth] = sizes.map((size) => Math.min(8, Math.max(5, size)));
   return {
     columns: sides[0], rows: sides[1], spacing: step, isProfile, isGrid: Boolean(columns),

@@ -10,14 +10,14 @@ import { Standings } from './standings.js';
 import { Tags } from './tags.js';
 
 export const SPEEDS = [['2', '2 ×'], ['1', '1 ×'], ['0.5', '½ ×'], ['0.25', '¼ ×'], ['0.1', '⅒ ×']];
-/** A frame that takes longer than this lowers the resolution, then the shadow. */
+/** Frames that take longer than this cause a lower resolution, and then no shadow. */
 const SLOW_FRAME_S = 0.028;
 /**
  * The ground is drawn without robots only if none arrive within this time: without a GPU, drawing
  * it delays them.
  */
 const PATIENCE_MS = 1000;
-/** Two frames in a row that take longer than this lower both at once. */
+/** Two consecutive frames that take longer than this cause both at once. */
 const VERY_SLOW_FRAME_S = 0.09;
 const SCALE_MIN = 0.35;
 /** A longer pause is not slow drawing: the page was hidden, or the computer slept. */
@@ -31,7 +31,7 @@ export class Player {
   /**
    * @param {import('../app.js').app} app
    * @param {{compact?: boolean, height?: number, onchange?: function(): void}} [options]
-   *   compact: fewer controls, for a stage next to other things
+   * compact: fewer controls, for a stage beside other content
    */
   constructor(app, options = {}) {
     const { compact = false, height, onchange = () => {} } = options;
@@ -318,7 +318,8 @@ export class Player {
   }
 
   /**
-   * Shows what is computed while it plays, instead of recordings; null goes back to these.
+   * Shows motion that is computed while it plays, instead of recordings; null returns to
+   * recordings.
    * @param {any} live has steering, tick(), timeS, restart(robots), setPlaying(on), setSpeed(speed)
    *   and close()
    */
@@ -363,7 +364,7 @@ export class Player {
     this.#wake();
   }
 
-  /** Names the robots: in a list and, side by side or in a race, where they are. */
+  /** Shows the names of the robots: in a list and, side by side or in a race, at the robots. */
   #list() {
     this.tags.name(this.stage);
     this.standings.set(this.stage);
@@ -378,7 +379,7 @@ export class Player {
     this.stage.covered = isOver ? Math.min(0.4, (names.offsetWidth + 16) / canvas.clientWidth) : 0;
   }
 
-  /** Saves a film, of a race with its order. */
+  /** Saves a film; a film of a race includes the order. */
   async #film() {
     const { race } = this.standings;
     const [{ filmOf }, { save }] = await Promise.all(
@@ -392,7 +393,7 @@ export class Player {
     this.setNote('');
   }
 
-  /** Shows how many robots are here while others are still computed. */
+  /** Shows how many robots have arrived while others are still being computed. */
   setComing(n, of) {
     if (!this.stage) return;
     this.isComing = n < of;
@@ -402,7 +403,7 @@ export class Player {
     say(this.coming, `${n} of ${of} robots`);
   }
 
-  /** Returns whether a race waits for its robots. */
+  /** Returns whether a race is waiting for its robots. */
   #waits() {
     return Boolean(this.isComing && !this.isEarly && this.stage?.lanes());
   }
@@ -468,7 +469,7 @@ export class Player {
     if (this.live) {
       this.live.tick();
     } else if (moving && elapsed >= 0) {
-      // Slow pictures skip frames: the time is real.
+      // If pictures are slow, frames are skipped, to keep real time.
       this.stage.timeS = this.standings.after(this.stage.timeS,
         Math.min(elapsed, ELAPSED_MAX_S) * this.speed);
       // At the end, the last frame stays for a second.

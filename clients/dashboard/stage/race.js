@@ -1,4 +1,4 @@
-/** The order of a race: what its task measures, at every moment of it. */
+/** The order in a race, by what its task measures, at every moment. */
 
 import { resultOf } from '../lib/tasks.js';
 import { centerOfMass } from './robot.js';
@@ -88,7 +88,7 @@ const TITLES = {
 /**
  * @typedef {Object} Race
  * @property {string} title what is measured
- * @property {string} about how the order comes about
+ * @property {string} about how the order is determined
  * @property {boolean} isLower whether a lower value is better
  * @property {boolean} isShare whether values are shares, not meters
  * @property {number} durationS
@@ -134,7 +134,8 @@ export function raceOf(robots) {
  * @param {Race} race
  */
 export function orderAt({ rows, isLower, isShare, durationS }, timeS) {
-  const isEnd = !isLower && timeS >= durationS; // now the values of the service are exact
+  const isEnd = !isLower && timeS >= durationS; // at the end, the exact values of the service are
+                                                // used
   const all = [...rows].map(([robot, { values, arrivalS }]) => {
     const frame = Math.min(timeS / robot.frameS, robot.frames - 1);
     const [low, high] = [Math.floor(frame), Math.ceil(frame)];
@@ -169,13 +170,13 @@ export function slowPart({ rows, durationS }) {
 }
 
 /**
- * Returns how fast a race runs at a time.
+ * Returns the playback speed of a race at a time.
  * @param {number[]} part in slow motion
  */
 export const paceAt = ([from, to], timeS) => (timeS >= from && timeS < to ? 1 / SLOWER : 1);
 
 /**
- * Returns how long a film of a race is, and the time of the race at a time of the film.
+ * Returns the length of a film of a race, and the time in the race at a time in the film.
  * @param {number[]} part in slow motion
  */
 export function filmTimes([from, to], durationS) {

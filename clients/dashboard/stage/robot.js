@@ -33,8 +33,8 @@ function measureCenters({ track, body: { nMasses: n }, centers }, from, to) {
   }
 }
 
-/** Returns the number of frames that there is room for: more than there are while a robot is
- * driven. */
+/** Returns the number of frames that there is room for; while a robot is driven, there is more room
+ * than frames. */
 const rowsOf = ({ track, body }) => track.length / (3 * body.nMasses);
 
 /** Uploads what the graphics processor needs for one robot. */

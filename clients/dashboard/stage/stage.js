@@ -2,7 +2,7 @@
  * The stage: robots that walk on their terrain toward their light, drawn with WebGL 2.
  *
  * The daemon's recordings go to the graphics processor unchanged, and each frame on the screen sets
- * only one number, the time. Therefore scrubbing and slow motion cost the CPU nothing.
+ * only one number, the time. Therefore, scrubbing and slow motion cost almost no CPU time.
  */
 
 import { Camera } from './camera.js';
@@ -19,7 +19,7 @@ import {
   TRAIL_SHADERS,
 } from './shaders.js';
 
-/** Cells of the ground's mesh along each side, and the same for small views. */
+/** Cells of the ground's mesh along each side, normally and in small views. */
 const GRID = 160;
 const COARSE_GRID = 56;
 const TINY_GRID = 28;
@@ -30,7 +30,8 @@ const SMALL_PX = 260;
 const TINY_PX = 130;
 /** Shorter views have no shadow; the map of shadows has this many texels along each side. */
 const [SHADOW_PX, SHADOW_SIZE] = [60, 1024];
-/** While robots move, a picture draws this many of the views, in turn: fewer without a GPU. */
+/** While robots move, each picture draws only this many of the views, in turn; fewer without a
+ * GPU. */
 const VIEWS_AT_ONCE = 64;
 const VIEWS_IN_SOFTWARE = 12;
 
@@ -155,7 +156,7 @@ export class Stage {
     this.scale = 1;
     this.shadows = shadows;
     this.timeS = 0;
-    /** The views drawn last, of these robots, and which was the last one. */
+    /** The views that were drawn last, their robots, and the index of the last view. */
     this.drawn = null;
     this.drawnOf = null;
     this.turn = 0;
@@ -170,7 +171,7 @@ export class Stage {
       this.fence = null;
       this.terrains.clear();
       this.#build();
-      // The robots stay the same objects: while they are driven, their recordings grow.
+      // The robots must stay the same objects, because their recordings grow while they are driven.
       for (const robot of this.robots) robot.gpu = { ...upload(gl, robot), tint: robot.gpu.tint };
     });
   }
@@ -221,7 +222,7 @@ export class Stage {
     for (const robot of this.robots) robot.gpu.tint = toRgb(robot.color);
     const views = this.views();
     if (isMore && views.length > 1 && this.drawn?.[0].width === views[0].width) {
-      // The others stay where they are drawn.
+      // The other robots stay where they are drawn.
       [this.drawnOf, this.turn] = [this.robots, this.drawn.length - 1];
       this.drawn = [...this.drawn, ...views.slice(this.drawn.length)];
     }
@@ -241,8 +242,8 @@ export class Stage {
     return this.laned;
   }
 
-  /** Returns the opaque robot among ghosts: the one that is pointed at or followed, or the leader.
-   * Returns null if there are no ghosts. */
+  /** Returns the opaque robot among ghosts: the robot that is pointed at or followed, or the
+   * leader. Returns null if there are no ghosts. */
   solid() {
     if (!this.ghosts || this.sideBySide || this.robots.length < 2) return null;
     const drawn = this.lanes()?.robots ?? this.robots;
@@ -402,7 +403,7 @@ export class Stage {
       lane: lanes?.lane ?? NO_LANE, course: lanes?.course ?? NO_LANE,
       goal: lanes?.goal ?? 0, marks: lanes?.marks ?? 0,
     };
-    /** What a robot and its ground are drawn with: a lane is the world, shifted. */
+    /** Uniforms of a robot and its ground: a lane is the world, shifted. */
     const own = (robot, shift) => {
       const world = robot?.world ?? DEFAULT_WORLD;
       return {

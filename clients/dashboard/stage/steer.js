@@ -3,14 +3,14 @@
 import { h } from '../lib/dom.js';
 import { heightAt } from './math.js';
 
-/** The light is picked within this many pixels: fingers are wider than pointers. */
+/** The light can be grabbed within this many pixels; fingers need more than pointers. */
 const REACH_PX = 30;
 const TOUCH_REACH_PX = 46;
 /** With more views, the rings around the light would hide the robots. */
 const RINGS_MAX = 16;
 /** Height of the middle of the lamp above the ground. */
 const LAMP_M = 0.1;
-/** The map, which the light does not leave. */
+/** The range of the map, which the light does not leave. */
 const MAP_M = [0, 5];
 /** The service does not accept a light closer than this to the place where robots start. */
 const START_M = [2.5, 2.5];
@@ -23,14 +23,14 @@ const LETTERS = { KeyW: [0, 1], KeyS: [0, -1], KeyA: [-1, 0], KeyD: [1, 0] };
 const ARROWS = { ArrowUp: [0, 1], ArrowDown: [0, -1], ArrowLeft: [-1, 0], ArrowRight: [1, 0] };
 
 /**
- * Returns the place nearest to (x, y) where a light may stand, to the millimeter.
+ * Returns the point nearest to (x, y) where a light may stand, rounded to a millimeter.
  * @param {number[]} place
  */
 export function placeFor(place) {
   const at = place.map((value) => Math.min(MAP_M[1], Math.max(MAP_M[0], value)));
   const [dx, dy] = at.map((value, axis) => value - START_M[axis]);
   const distance = Math.hypot(dx, dy);
-  const apart = APART_M + 0.002; // still apart when rounded
+  const apart = APART_M + 0.002; // still far enough apart when rounded
   if (distance < apart) {
     const turn = distance > 0 ? Math.atan2(dy, dx) : 0;
     at[0] = START_M[0] + apart * Math.cos(turn);
@@ -43,7 +43,7 @@ export class Steering {
   /**
    * @param {import('./stage.js').Stage} stage
    * @param {{world: function(): any, move: function(number[]): void, leave: function(): void}} how
-   *   world: with the light, which move changes; leave: Esc was pressed
+   * world: has the light, which `move` changes; leave: called when Esc was pressed
    */
   constructor(stage, { world, move, leave }) {
     this.stage = stage;
@@ -73,7 +73,7 @@ export class Steering {
     this.rings.remove();
   }
 
-  /** After each picture: puts the rings where the light is. */
+  /** After each picture, moves the rings to the light. */
   place() {
     const places = this.stage.placesOf(this.#lamp());
     const shown = places.length > RINGS_MAX ? [] : places;
@@ -105,12 +105,13 @@ export class Steering {
       Boolean(this.held ?? this.#under(event.offsetX, event.offsetY, event)));
   }
 
-  /** Handles a pointer of onPointers: holds the light, if it is there. */
+  /** Handles a pointer of onPointers: grabs the light, if the pointer is on it. */
   grab(x, y, event) {
     if (event.button > 0 || event.shiftKey) return null;
     const place = this.#under(x, y, event);
     if (!place) return null;
-    // If the lamp is not hit in its middle, it must not jump there; but it comes from out of sight.
+    // If the lamp is not grabbed in its middle, it must not jump to the pointer, unless it was out
+    // of sight.
     const off = place.isOut ? [0, 0] : [place.x - x, place.y - y];
     this.held = { at: [x + off[0], y + off[1]], height: this.#lamp()[2] };
     return {
@@ -134,8 +135,8 @@ export class Steering {
     if (place) this.move(place);
   }
 
-  /** For each picture: keys that are down move the light, and a held light stays under the pointer,
-   * because the camera follows the robot. */
+  /** Called for each picture: keys that are down move the light, and a held light stays under the
+   * pointer although the camera follows the robot. */
   tick(elapsedS) {
     if (this.held) this.#drag();
     for (const direction of this.down.values()) {

@@ -21,7 +21,7 @@ export class Tags {
   }
 
   /**
-   * Puts the names where the robots are.
+   * Places the names at the robots.
    * @param {import('./stage.js').Stage} stage
    * @param {{robot: Object}[]} order of a race
    */
@@ -74,7 +74,7 @@ export class Tags {
     });
   }
 
-  /** Names other robots, at once: their picture may take a while. */
+  /** Shows the names of other robots at once, because their picture may take a while. */
   name(stage) {
     const robots = stage.lanes()?.robots ?? stage.robots;
     this.robots = robots.length > 1 && robots.length <= TAGS_MAX ? robots : [];

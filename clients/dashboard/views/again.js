@@ -25,7 +25,8 @@ function put(target, path, value) {
 /** Returns the member at a path. */
 const at = (value, path) => path.reduce((one, name) => one[name], value);
 
-/** Returns the controller of a job for a request: its name, if that is still the same file. */
+/** Returns the controller of a job for a request: its name, if that still refers to the same
+ * file. */
 async function controllerOf(job) {
   const file = kindOf(job).kind === 'training' ? job.parent : job.controller;
   if (!file) return undefined;
@@ -42,7 +43,8 @@ async function foundersOf(job) {
 }
 
 /**
- * What only one kind has: its fixed members of the request, values of fields, and what is kept.
+ * The parts that only one kind has: fixed members of the request, values of fields, and what is
+ * kept.
  * @type {Object<string, function(any): Promise<{fixed?: any, proposed?: any, kept?: any,
  *   words?: string[], lacks?: string}>>} lacks: what has to be chosen again
  */
@@ -101,7 +103,7 @@ export async function startAgain(app, job) {
     }
   }
   if (fields.includes('selection') && !fixed.selection) {
-    proposed.selection = settings.selection.kind; // the others are its defaults
+    proposed.selection = settings.selection.kind; // its other settings are the defaults
   }
   const named = settings.environments;
   const places = listed.map(requested);

@@ -76,7 +76,7 @@ function showList(main, { name, items, unreadable, jobs: open }, app) {
   let timer;
   let isClosed = false;
   let asked = 0;
-  let shown = 0; // replies that come late do not replace newer ones
+  let shown = 0; // late replies do not replace newer ones
   const showBuilds = (jobs) => patch(running, jobs.filter((job) => !name ||
     job.atlas.name === name), ({ id }) => id, () => buildCard(refresh),
   (card, job) => card.show(job));
@@ -92,7 +92,7 @@ function showList(main, { name, items, unreadable, jobs: open }, app) {
       shown = turn;
       clearTimeout(timer);
       if (name && all.items.some((one) => one.name === name)) {
-        dispatchEvent(new HashChangeEvent('hashchange')); // now this address has a page
+        dispatchEvent(new HashChangeEvent('hashchange')); // this address has a page now
         return;
       }
       showBuilds(jobs);
@@ -100,7 +100,7 @@ function showList(main, { name, items, unreadable, jobs: open }, app) {
       if (jobs.length) timer = setTimeout(refresh, POLL_MS);
     } catch {
       if (isClosed || turn < asked) return;
-      timer = setTimeout(refresh, POLL_MS); // the banner says that it is down
+      timer = setTimeout(refresh, POLL_MS); // the banner says that the service is down
     }
   }
 

@@ -1,4 +1,4 @@
-/** Two atlases compared: how many bodies have which pair of scores. */
+/** Compares two atlases: how many bodies have which pair of scores. */
 
 import { announce, choice, fill, h, say } from '../lib/dom.js';
 import { count, countOf, score } from '../lib/format.js';
@@ -16,7 +16,7 @@ function tauWords(tau) {
     `${share} of 100 cases.`;
 }
 
-/** Returns what an atlas has of a body of another one, or null. */
+/** Returns the body of another atlas as this atlas describes it, or null. */
 const bodyIn = async (atlas, about, { genotype, voxels }) => (voxels > about.voxels_max ? null
   : atlas.body(genotype, { changes: 0 }));
 

@@ -23,7 +23,7 @@ export class AtlasDraw {
     this.changed = changed;
     this.past = [];
     this.future = [];
-    /** The body, and the drawing, which is ahead of it during a stroke. */
+    /** The body, and the drawing, which is ahead of the body during a stroke. */
     this.body = '';
     this.genotype = '';
     const edit = {

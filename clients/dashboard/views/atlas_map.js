@@ -6,7 +6,8 @@ import { count, countOf, number, score, voxels } from '../lib/format.js';
 import { ticks } from '../lib/chart.js';
 
 const BINS = 72;
-/** The bins of a request are equal, those of the map on its axis, within half of one of these. */
+/** Number of bins in a request, which have equal widths; the edges of the map's bins are rounded to
+ * these. */
 const FINE = 14 * BINS;
 const RIGHT_PX = 12;
 const TOP_PX = 8;
@@ -28,7 +29,7 @@ function cutOf(lo, hi) {
   return isWide(lo, hi) && (hi - lo) / FINE > first ? lo + FINE * first : 0;
 }
 
-/** Returns which edge is the nearest to a place between the first and the last. */
+/** Returns which edge between the first and the last is nearest to a value. */
 function nearest(edges, place) {
   const i = edges.findIndex((edge) => edge >= place);
   return i > 0 && place - edges[i - 1] < edges[i] - place ? i - 1 : Math.max(0, i);
@@ -82,7 +83,7 @@ export class AtlasMap {
       const cut = cutOf(all.edges[0], all.edges.at(-1));
       const parts = cut ? await Promise.all([histogram({ hi: cut }), histogram({ lo: cut })]) : [];
       if (turn !== this.loads) return;
-      this.turn++; // bodies that are still to come belong to another axis
+      this.turn++; // replies that are still to come belong to another axis
       this.selected = this.last = this.anchor = undefined;
       fill(this.list);
       this.#name(measure, measure ? all.outside.reduce((sum, n) => sum + n, 0) : 0);
@@ -95,7 +96,7 @@ export class AtlasMap {
     }
   }
 
-  /** Says what the axis shows, and how many bodies it lacks. */
+  /** Writes what the axis shows, and how many bodies are not on it. */
   #name(measure, without = 0) {
     this.measure = measure;
     const what = `odies by ${measure || 'score'} and size`;
@@ -106,13 +107,13 @@ export class AtlasMap {
       `${without ? ` ${countOf(without, 'body has', 'bodies have')} no value.` : ''}`);
   }
 
-  /** Returns what the axis shows for a body; null: it has none. */
+  /** Returns the value of a body on the axis; null: it has none. */
   #of(body) {
     return this.measure ? body.measures[this.measure] : body.score;
   }
 
-  /** Counts again in the bins of the map. They begin where fine ones do, so that each has exactly
-   * the bodies that a click on it lists. */
+  /** Counts again in the bins of the map. They begin where fine bins do, so that each contains
+   * exactly the bodies that a click on it lists. */
   #bin({ edges, counts }) {
     const [lo, hi] = [edges[0], edges.at(-1)];
     this.isLog = isWide(lo, hi);
@@ -123,7 +124,8 @@ export class AtlasMap {
       ? lo * (hi / lo) ** (i / BINS) : lo + (hi - lo) * i / BINS));
     begins[BINS] = edges.length - 1;
     this.edges = begins.map((i) => edges[i]);
-    this.edges[BINS] = hi + Math.abs(hi) * 1e-6 + 1e-9; // the highest score is in the last bin
+    this.edges[BINS] = hi + Math.abs(hi) * 1e-6 + 1e-9; // so that the highest score is in the last
+                                                        // bin
     this.counts = counts.map((fine) => Array.from({ length: BINS }, (_, i) =>
       fine.slice(begins[i], begins[i + 1]).reduce((sum, n) => sum + n, 0)));
     this.#draw();
@@ -165,7 +167,7 @@ export class AtlasMap {
       context.fillStyle = color('--blue');
       this.counts[row].forEach((n, i) => {
         if (!n) return;
-        // A single body is still seen beside thousands.
+        // A logarithm, so that a single body is still visible beside thousands.
         const share = Math.log1p(n) / Math.log1p(most);
         context.globalAlpha = 0.18 + 0.82 * share;
         const height = Math.max(4, (ROW_PX - 5) * share);
@@ -246,7 +248,7 @@ export class AtlasMap {
     this.select(this.selected.row, this.anchor, bin);
   }
 
-  /** Returns the bin that a click means: the nearest one with bodies, because a single bin is
+  /** Returns the bin that a click selects: the nearest one with bodies, because a single bin is
    * narrow. */
   #nearest(row, bin) {
     const counts = this.counts[row];
@@ -265,7 +267,7 @@ export class AtlasMap {
     let bin = this.last ?? this.counts[row].findIndex(Boolean);
     const next = Math.min(this.rows - 1, Math.max(0, row + step[0]));
     if (step[1] && this.selected) {
-      // With Shift every bin counts; without it, the next one that has bodies.
+      // With Shift, move by one bin; without it, to the next bin that has bodies.
       let to = bin + step[1];
       while (!event.shiftKey && to >= 0 && to < BINS && !this.counts[row][to]) to += step[1];
       if (to >= 0 && to < BINS) bin = to;

@@ -1,7 +1,7 @@
 /**
- * The page of an atlas: a body that is drawn, how it walks, where it stands among all others, and
- * where a change of one voxel leads. It works with any source that has the interface of
- * lib/atlas_file.js, so a static site can show it, too.
+ * The page of an atlas: a body that is drawn, how it walks, its rank among all others, and where a
+ * change of one voxel leads. It works with any source that has the interface of lib/atlas_file.js,
+ * so a static site can show it, too.
  */
 
 import { cellsOf, robotOf } from '../lib/body.js';
@@ -23,7 +23,7 @@ const CHANGES = 8;
 const shareOf = (percentile) => `${(Math.floor(percentile * 100) / 100)
   .toFixed(percentile >= 99 || percentile < 1 ? 2 : 1)} %`;
 
-/** Returns what makes tasks differ: not their headings, which vary from world to world. */
+/** Returns what distinguishes tasks, without headings, which vary from world to world. */
 const kindOfTask = ({ objective, guide }) => JSON.stringify([objective, guide.kind,
   guide.points_m]);
 
@@ -44,8 +44,8 @@ export class AtlasPage {
    * @param {any} about its description
    * @param {{app: any, walker: any, links?: function(string): any[], others?: any,
    *   pairs?: function(any): any, compare?: function(any): any}} parts walker:
-   *   has element, show(genotype, id) and close(); links: what else can be done with a body;
-   *   others: goes beside the title; pairs, compare: make the last sections
+   * has element, show(genotype, id) and close(); links: what else can be done with a body; others:
+   * an element beside the title; pairs, compare: make the last sections
    */
   constructor(atlas, about, { app, walker, links = () => [], others = null, pairs = null,
     compare = null }) {
@@ -169,12 +169,12 @@ export class AtlasPage {
         throw new Error(`This atlas ends at ${voxels(most)}; the body has ${n}. Remove some.`);
       }
       const coming = this.atlas.ascent(genotype);
-      coming.catch(() => {}); // then the body fails, too
+      coming.catch(() => {}); // the request for the body then fails, too
       const body = await this.atlas.body(genotype, { changes: CHANGES });
       if (turn !== this.turn) return;
       this.#say(body);
       performance.measure('morphod-atlas-click-to-numbers', { start: started });
-      // Cards far below change what is out of sight.
+      // Cards far below the numbers change something that is out of sight.
       if (this.shown && this.numbers.getBoundingClientRect().bottom < 0) {
         announce(`${nameOf(body.id)}: score ${score(body.score)}, better than ` +
           `${shareOf(body.percentile)}`);

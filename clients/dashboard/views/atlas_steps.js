@@ -73,7 +73,7 @@ export class AtlasSteps {
       : `${countOf(steps, 'step')} of steepest ascent, by adding and removing voxels, to a local ` +
       'optimum' +
       `${top.id === best.id ? ': the best of all' : ''}`);
-    // Each is turned like the previous one, so that the eye follows the change.
+    // Each body is turned like the previous one, so that the eye can follow the change.
     let like = genotype;
     const shown = way.items.map((one, i) => {
       const from = like;

@@ -6,7 +6,7 @@ import { h, say } from '../lib/dom.js';
 import { nameOf } from '../lib/names.js';
 import { Player } from '../stage/player.js';
 
-/** Where the middle of the workspace stands, and the side of a voxel, in meters. */
+/** Position of the middle of the workspace, and the side of a voxel, in meters. */
 const MIDDLE_M = 2.5;
 const VOXEL_M = 0.1;
 
@@ -53,7 +53,7 @@ export class AtlasWalk {
     this.element.classList.toggle('still', !robot);
     this.player.setNote(robot ? '' : 'It stands still');
     say(this.words, words);
-    await new Promise(requestAnimationFrame); // it is drawn first
+    await new Promise(requestAnimationFrame); // let the page draw first
     if (robot) performance.measure('morphod-atlas-click-to-motion', { start: started });
   }
 

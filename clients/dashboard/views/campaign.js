@@ -17,7 +17,7 @@ import { announced, copyButton, formDialog, saveLink, showDialog } from './share
 
 const DESIGNS_MAX = 10000;
 
-/** The population: any two traits of its designs, and those in a brush walking. */
+/** The population: a plot of any two traits, and the designs in its brush, which walk. */
 class PopulationTab {
   constructor(shared) {
     this.shared = shared;
@@ -46,7 +46,7 @@ class PopulationTab {
   }
 }
 
-/** The tabs that are shown here; the phylogeny has a page. */
+/** The tabs that are shown here; the phylogeny has its own page. */
 const tabs = { '': CampaignCurves, population: PopulationTab, settings: SettingsTab };
 
 export async function mount(main, path, parameters, app) {

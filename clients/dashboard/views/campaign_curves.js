@@ -15,8 +15,8 @@ import { SettingsDiff } from './settings_diff.js';
 import { TimeLapse } from './time_lapse.js';
 
 /**
- * What x may be. Rollouts are those computed for scores, without those cut short; time is wall time
- * without pauses.
+ * Choices of x. `rollouts` counts those computed for scores, without those cut short; `time` is
+ * wall time without pauses.
  */
 const AXES = ['generation', 'rollouts', 'time'];
 
@@ -90,14 +90,14 @@ export class CampaignCurves {
     this.#show();
   }
 
-  /** Places the comparison, which is over replicates, which have only generations in common. */
+  /** Shows the comparison with its axis: replicates have only generations in common. */
   #placeCompared() {
     const group = this.axis === AXES[0] ? this.group : new ChartGroup();
     this.compared?.chart.join(group, 'compared').update();
   }
 
   async refresh() {
-    // The first robots do not wait for the curves.
+    // The first robots walk without waiting for the curves.
     const isFirst = this.stage.isEmpty;
     if (isFirst) this.champions.refresh();
     const fresh = await Promise.all([...this.curves, ...(this.replicates ? [this.replicates] : [])]
@@ -106,7 +106,7 @@ export class CampaignCurves {
       this.#show();
       await this.compared?.refresh();
     }
-    if (fresh[0] && !isFirst) this.champions.refresh(); // no need to wait for them
+    if (fresh[0] && !isFirst) this.champions.refresh(); // without waiting for them
   }
 
   #show() {
@@ -140,7 +140,7 @@ export class CampaignCurves {
       { name: 'median', x, y: quantile('p50'), color: '--blue' },
       { name: 'best', x, y: quantile('p0'), color: '--orange' },
     ];
-    // Statistics over replicates are per generation, whatever it cost each replicate.
+    // Statistics over replicates are by generation, regardless of what it cost each replicate.
     if (replicates?.rows.length && this.axis === 'generation') {
       const r = replicates.rows;
       const rx = column(r, (row) => row.generation);

@@ -1,4 +1,4 @@
-/** One certificate: how far the order and the scores of its designs hold, level by level. */
+/** One certificate: how well the order and the scores of its designs hold, level by level. */
 
 import { button, fill, h, patch, patchRow, say, table } from '../lib/dom.js';
 import { count, countOf, number, score } from '../lib/format.js';
@@ -82,7 +82,7 @@ class Report {
     say(this.top, 'τ: Kendall\'s rank correlation with the base, 1 if the order is the same. ' +
       `Regret: what choosing the base's best ${top === 1 ? 'one' : top} costs`);
     this.table.tHead.rows[0].cells[1].replaceWith(headOf(scale, 'τ, 95 % interval'));
-    // Levels to come have rows, so that what is below stays where it is.
+    // Levels that are still to come already have rows, so that the content below does not move.
     const rows = Array.from({ length: n }, (_, i) => levels[i] ?? null);
     patch(this.rows, rows.map((level, i) => ({ level, i })), ({ i }) => i, () => h('tr'),
       (row, { level, i }) => {

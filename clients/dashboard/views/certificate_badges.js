@@ -17,7 +17,7 @@ const CLASSES = {
 /** Robots of a stage that are looked up. */
 const ROBOTS_MAX = 16;
 
-/** Returns a link to a certificate, which says what it is worth. */
+/** Returns a link to a certificate that states its verdict. */
 function badgeOf({ id, class: verdict }, of = '') {
   const [kind, about] = CLASSES[verdict] ?? ['', 'an earlier version computed the certificate'];
   loadSheet('certificate.css');

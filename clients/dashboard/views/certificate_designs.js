@@ -14,7 +14,7 @@ const NAMES = ['Rank', 'Design', '', 'Score', 'Verdict', ''];
 const plusMinus = (interval) => h('span.muted', {},
   interval ? ` ± ${score((interval[1] - interval[0]) / 2)}` : '');
 
-/** Returns the name of a level: that of its axis is dimmed where it repeats. */
+/** Returns the name of a level; a repeated name of the axis is dimmed. */
 export function levelHead(level, i, levels) {
   const isSame = levels[i - 1]?.axis === level.axis;
   return h('th', { scope: 'row' }, h(isSame ? 'span.muted' : 'span', {}, axisTitle(level.axis)),

@@ -1,4 +1,4 @@
-/** What the axes and levels of a certificate are called, and what it says about a design, in a few
+/** The names of the axes and levels of a certificate, and what it says about a design in a few
  * words. */
 
 import { countOf } from '../lib/format.js';
@@ -27,8 +27,8 @@ export function levelWords({ axis, level, environments, precision }, base) {
 }
 
 /**
- * Returns what holds for a design and what its score depends on, as texts with a class. The report
- * says so: the rules are those of the library.
+ * Returns what holds for a design and what its score depends on, as texts with a class. Both come
+ * from the report, so the rules are those of the library.
  * @param {any} design of the report
  * @param {{n_designs: number}} report
  * @returns {[string, string][]}

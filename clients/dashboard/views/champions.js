@@ -27,7 +27,7 @@ export class CampaignStage {
     return !this.isTaken && !this.player.stage?.robots.length;
   }
 
-  /** Leaves the stage to others: what was requested for it no longer walks. */
+  /** Leaves the stage to other views: designs that were requested for it no longer walk. */
   take() {
     this.turn = (this.turn ?? 0) + 1;
     this.isTaken = true;
@@ -45,7 +45,7 @@ export class CampaignStage {
     this.player.setNote('Walking…');
     try {
       const robots = await rollOfCampaign(this.job(), shown, this.signal);
-      if (turn !== this.turn) return; // something else was chosen
+      if (turn !== this.turn) return; // something else was chosen in the meantime
       this.player.setRobots(robots);
       (await badges()).markStage(this.player, robots, this.signal);
       this.player.setNote('');
@@ -107,7 +107,8 @@ export class Champions {
       (element, design) => {
         element.querySelector('.crown').hidden = design.number !== best.number;
       });
-    if (this.stage.isEmpty) this.stage.walk(shown.slice(0, 4)); // need not wait for the badges
+    if (this.stage.isEmpty) this.stage.walk(shown.slice(0, 4)); // the stage need not wait for the
+                                                                // badges
     (await badges()).markCards(this.cards, shown, this.shown, again);
   }
 

@@ -26,7 +26,8 @@ function differenceOf(one, other) {
   return one.worlds.join() === other.worlds.join() ? '' : 'their environments';
 }
 
-/** Replicates of a campaign form one side: their mean, and the spread that gives the interval. */
+/** The replicates of a campaign form one side: their mean is compared, and their spread gives the
+ * interval. */
 export class Comparison {
   /**
    * @param {string[]} ids @param {function(string): Promise<any>} get

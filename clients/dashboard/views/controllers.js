@@ -64,7 +64,7 @@ function periodOf({ control_period_s: period }) {
   return period ? `every ${number(1000 * period)} ms` : 'every step';
 }
 
-/** Returns where a controller comes from: the training run that made it, and what that run started
+/** Returns the origin of a controller: the training run that made it, and what that run started
  * from. */
 function lineageOf(controller, trainings) {
   const training = trainings.find((one) => one.controller?.sha256 === controller.sha256);

@@ -8,19 +8,19 @@ import { Steering, placeFor } from '../stage/steer.js';
 
 /** The most robots at once: those of one request. */
 const ROBOTS_MAX = 64;
-/** How much of a drive is kept for films and recordings: this long, or this many bytes. */
+/** How much of a drive is kept for films and recordings: this many seconds, or this many bytes. */
 const KEEP_S = 60;
 const KEEP_BYTES = 96e6;
-/** Time advances this often even if pictures take longer. */
+/** Time advances at this interval even if pictures take longer. */
 const TICK_MS = 40;
 /** A wait that lasts longer is reported. */
 const LATE_MS = 150;
-/** The place of the light is read aloud once it has rested for this long. */
+/** Screen readers announce the position of the light once it has rested for this long. */
 const QUIET_MS = 700;
 /** The camera of a drive: high and far enough to see both the robot and its light. */
 const [PITCH, DISTANCE_M] = [0.62, 3.4];
 
-/** Returns how many seconds of these robots are kept. */
+/** Returns for how many seconds the motion of these robots is kept. */
 function keptS(robots, frameS) {
   const bytes = robots.reduce((sum, { body }) => sum + 13 * body.nMasses + body.nSprings, 0);
   return Math.max(2, Math.min(KEEP_S, Math.floor((KEEP_BYTES * frameS) / bytes)));
@@ -78,13 +78,13 @@ export class Driving {
       leave: () => this.leave(),
     });
     this.timer = setInterval(() => this.#tickUnseen(), TICK_MS);
-    // Unless it was moved, the light of the world is not rounded.
+    // The position of the world's light is not rounded until it is moved.
     const { light } = robots[0].world;
     this.#begin(robots, this.source().environment.task ? placeFor(light) : light);
     player.canvas.focus();
   }
 
-  /** Lets different robots start to follow the same light. */
+  /** Restarts with different robots that follow the same light. */
   restart(robots) {
     if (!robots.length || robots.length > ROBOTS_MAX) {
       this.leave();
@@ -125,7 +125,7 @@ export class Driving {
     const { robots } = this.live;
     const groups = new Map();
     robots.forEach((robot, i) => {
-      if (states && !states[i]) return; // diverged
+      if (states && !states[i]) return; // the robot has diverged
       const name = robot.controller ?? controller;
       groups.set(name, [...groups.get(name) ?? [], i]);
     });
@@ -177,14 +177,14 @@ export class Driving {
     this.#report(now);
   }
 
-  /** Keeps the time real while a picture takes long; while the page is not watched, time stands
+  /** Keeps real time while a picture takes long; while the page is not visible, time stands
    * still. */
   #tickUnseen() {
     if (document.hidden || !this.player.isSeen) this.drive.skip();
     else this.drive.tick();
   }
 
-  /** Reports how long the drive is, and what is wrong. */
+  /** Reports the length of the drive, and any problem. */
   #report(now) {
     const { isLate, timeS, windows, first } = this.drive;
     this.lateSince = isLate ? this.lateSince ?? now : null;

@@ -11,7 +11,8 @@ import { SettingsDiff } from './settings_diff.js';
 import { copyButton } from './share.js';
 import { Wall } from './wall.js';
 
-/** How many pages of 1,000 results are read from an evaluation that is too large to have a list. */
+/** Number of pages of 1,000 results that are read from an evaluation that is too large for a
+ * list. */
 const PAGES_MAX = 10;
 const SHOWN_MAX = 500;
 
@@ -124,7 +125,7 @@ class Results {
   }
 }
 
-/** Returns the results with their positions; for a large evaluation, the first that are full
+/** Returns the results with their positions; for a large evaluation, the first results with full
  * scores. */
 async function resultsOf(job, signal) {
   if (job.results) return { rows: job.results.map((result, row) => ({ ...result, row })) };

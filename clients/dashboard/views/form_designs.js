@@ -103,7 +103,7 @@ export class LearnedOn {
     return { population: { [kind]: String(Number(this.job.value)), ...best } };
   }
 
-  /** Returns the same as arguments, or null if the request has no such fields. */
+  /** Returns the same part as arguments of morphoctl, or null if the request has no such fields. */
   words() {
     if (!this.isAsked) return null;
     if (this.choice.value === 'random') return ['--random', this.random.value];

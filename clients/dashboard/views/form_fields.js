@@ -32,7 +32,7 @@ export function resolve(contract, schema) {
   return result;
 }
 
-/** Returns what an empty field stands for. */
+/** Describes what an empty field stands for. */
 function unsaid(kind, name, schema) {
   if (schema.default !== undefined) return String(schema.default);
   if (name === 'priority') return 'interactive up to 64 rollouts';
@@ -93,7 +93,7 @@ export function fieldsOf(kind, names, contract, controllers, proposed) {
   });
 }
 
-/** Sets a value; a choice gets it as a further one if it does not offer it. */
+/** Sets a value; a list of choices that lacks it gets it as a further choice. */
 function propose(input, value) {
   if (input.tagName === 'SELECT' && ![...input.options].some((one) => one.value === `${value}`)) {
     input.append(h('option', { value }, value));

@@ -33,7 +33,7 @@ const MORE = {
 /** Returns the names of the fields of a form. */
 export const fieldNames = (kind) => [...FIRST[kind], ...MORE[kind]];
 
-/** Members of a request that arguments stand for, in addition to the fields. */
+/** Members of a request, in addition to the fields, that arguments of morphoctl stand for. */
 const ARGUMENTS = ['designs', 'initial', 'environments', 'tasks', 'population', 'kind', 'mode'];
 
 /** Returns the arguments of morphoctl that send a request, whose options have the names of the

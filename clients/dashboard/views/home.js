@@ -12,15 +12,15 @@ import { roll, scoresOf, worldsOf } from '../lib/rollouts.js';
 import { TASKS, betterOf, pointsText, resultOf, wayOf, worldWords } from '../lib/tasks.js';
 import { Player } from '../stage/player.js';
 
-/** The world of the task in which the robot walks here, if there are that many. */
+/** Index of the world of the task in which the robot walks here, if there are that many. */
 const SHOWN = 3;
-/** This many of the best are on the stage. */
+/** Number of the best robots on the stage. */
 const STAGED = 4;
 const COUNTS = ['no', 'one', 'two', 'three', 'four'];
 const POLL_MS = 5000;
-/** Events within this time are answered together. */
+/** Events within this time are handled together. */
 const PAUSE_MS = 1000;
-/** This many running jobs are named. */
+/** Number of running jobs that are named. */
 const NAMED = 3;
 
 /**
@@ -118,7 +118,8 @@ export async function mount(main, path, parameters, app) {
     player.names.hidden = true; // the page says more about it
     describe(robot, origin, scored, walking);
     if (scored) return;
-    await new Promise(requestAnimationFrame); // ten rollouts would delay its first frame
+    await new Promise(requestAnimationFrame); // wait, because ten rollouts would delay its first
+                                              // frame
     const all = await scoresOf(design, task.set ?? environments, { signal });
     if (shown === robot) describe(robot, origin, all, walking);
   }
@@ -170,7 +171,7 @@ export async function mount(main, path, parameters, app) {
     });
   }
 
-  /** Offers a robot that has become the best; the one that walks stays until then. */
+  /** Offers a robot that has become the best; the robot that walks stays until the user accepts. */
   async function offerBetter() {
     const { items: [first] } = await listBest(1);
     better.hidden = !first || first.robot === shown;
@@ -182,7 +183,7 @@ export async function mount(main, path, parameters, app) {
 
   const refresh = coalesced(() => showHealth(), signal, PAUSE_MS);
   const look = coalesced(() => offerBetter(), signal, PAUSE_MS);
-  showAll(best).then(showHealth).catch(() => {}); // it is retried
+  showAll(best).then(showHealth).catch(() => {}); // a failure is retried
   const timer = setInterval(() => { if (!document.hidden) refresh(); }, POLL_MS);
   return {
     update({ type }) {

@@ -1,4 +1,4 @@
-/** What views of jobs share: state, progress, and the buttons that change a job. */
+/** Common parts of views of jobs: state, progress, and the buttons that change a job. */
 
 import { LinkError, post } from '../lib/api.js';
 import { button, h, isInUse, say } from '../lib/dom.js';
@@ -8,7 +8,7 @@ import { may } from '../lib/rights.js';
 import { editDialog } from './job_edit.js';
 import { announced, confirmDialog } from './share.js';
 
-/** Jobs in addition to the first on one page: as many as there are distinct colors. */
+/** Jobs that can be compared with the first on one page: one for each of the other colors. */
 export const COMPARED_MAX = 3;
 
 /** Returns who submitted a job, if known: ", by anna". */
@@ -42,7 +42,7 @@ function progressMeter() {
   };
 }
 
-/** Returns the same for a row that is rebuilt when it differs. */
+/** Returns a progress bar for a row that is rebuilt when it differs. */
 export function progressBar(job) {
   const { element, update } = progressMeter();
   update(job);
@@ -93,7 +93,8 @@ export class JobParts {
     this.changed();
   }
 
-  /** Sets the weight of the job relative to others: twice the weight gets twice the time. */
+  /** Sets the weight of the job relative to others: a job with twice the weight gets twice the
+   * time. */
   async #weigh() {
     const weight = Number(this.weight.value);
     const isDone = await announced(() => post(`v1/jobs/${this.job.id}/weight`, { weight }),

@@ -7,7 +7,8 @@ import { nameOf } from '../lib/names.js';
 import { tray } from '../lib/tray.js';
 import { showDialog } from './share.js';
 
-/** This many of the newest runs and the best designs can be found, and this many are listed. */
+/** Numbers of the newest runs and of the best designs that can be found, and of results that are
+ * listed. */
 const RUNS = 200;
 const DESIGNS = 200;
 const SHOWN = 12;

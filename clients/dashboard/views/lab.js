@@ -58,7 +58,7 @@ export async function mount(main, path, parameters, app) {
     return loose.length;
   }
 
-  /** Shows the body of the history. */
+  /** Shows the current body of the history. */
   function show() {
     genotype = steps.body;
     app.keep({ voxels: genotype });
@@ -132,7 +132,8 @@ export async function mount(main, path, parameters, app) {
     const { key, target, ctrlKey, metaKey, shiftKey, altKey } = event;
     const way = { z: shiftKey ? 'redo' : 'undo', y: 'redo' }[key.toLowerCase()];
     if (!way || !(ctrlKey || metaKey) || altKey) return;
-    if (target.closest?.('input:not([type=range]), textarea, dialog')) return; // it undoes text
+    if (target.closest?.('input:not([type=range]), textarea, dialog')) return; // there, the keys
+                                                                               // undo text
     event.preventDefault();
     go(way);
   }
@@ -195,7 +196,7 @@ export async function mount(main, path, parameters, app) {
       h('span.pad', { role: 'group', 'aria-label': 'Shift' }, h('span.muted', {}, 'Shift'),
         move('←', [-1, 0, 0]), move('→', [1, 0, 0]), move('↑', [0, 1, 0]),
         move('↓', [0, -1, 0]), move('up', [0, 0, 1]), move('down', [0, 0, -1])),
-      looseRow), // last, so that the cells stay under the pointer when it appears
+      looseRow), // last, so that the cells do not move under the pointer when this row appears
     h('section.panel.flush.watch', { 'aria-label': 'Stage' }, walk.player.element, walk.result)));
   offer();
   tray.listeners.add(offer);

@@ -1,9 +1,11 @@
-/** The layers of the body that is built, as grids of cells: pointers paint, keys move and set. */
+/** The layers of the body being built, as grids of cells: pointers paint; keys move the focus and
+ * set cells. */
 
 import { WORKSPACE, hasVoxel } from '../lib/body.js';
 import { h } from '../lib/dom.js';
 
-/** A fast pointer reports places far apart; the line between them is sampled this often. */
+/** A fast pointer reports points that are far apart; the line between them is sampled at this
+ * distance. */
 const STEP_PX = 6;
 const KEYS = {
   ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0],
@@ -64,7 +66,7 @@ export class Cells {
     }
   }
 
-  /** Marks the cell with the focus, so that Tab comes back to it. */
+  /** Marks the cell with the focus, so that Tab returns to it. */
   #mark(element) {
     if (!element.dataset.cell) return;
     if (this.marked) this.marked.tabIndex = -1;
@@ -109,7 +111,8 @@ export class Cells {
     this.edit.commit();
   }
 
-  /** Handles clicks by keys and screen readers; the click that follows a stroke is part of it. */
+  /** Handles clicks from keys and screen readers; the click that follows a stroke is part of the
+   * stroke. */
   #click({ target, detail }) {
     const isStroke = this.isPointers && detail > 0;
     this.isPointers = false;

@@ -29,7 +29,7 @@ export class Shape {
     this.faces = svg('g');
     this.ghost = svg('g', { class: 'ghost' });
     this.picture = svg('svg', { class: 'voxels shape', viewBox: '-4.5 -4.25 9 7.8', role: 'img' },
-      // Loose voxels are hatched, which is seen without colors, too.
+      // Loose voxels are hatched, which is visible without colors, too.
       svg('pattern', { id: 'hatch', width: 0.25, height: 0.25, patternUnits: 'userSpaceOnUse',
         patternTransform: 'rotate(45)' }, svg('path', { d: 'M0 0V1' })), this.faces, this.ghost);
     this.place = h('span.muted.place', { role: 'status' });
@@ -113,7 +113,7 @@ export class Shape {
       })));
   }
 
-  /** Returns what a click at an element does: {cell, on}; null: nothing. */
+  /** Returns what a click on an element does: {cell, on}; null: nothing. */
   #actAt(element, { shiftKey, button: pressed }) {
     const face = element?.dataset?.face?.split(',').map(Number);
     if (!face) return null;

@@ -1,4 +1,5 @@
-/** How the body that is built walks and scores: the stage of the Lab, and the words beside it. */
+/** Shows how the body being built walks and scores: the stage of the Lab, and the words beside
+ * it. */
 
 import { bodyOf } from '../lib/body.js';
 import { fill, h } from '../lib/dom.js';
@@ -24,7 +25,7 @@ export class Walk {
   async prepare() {
     const { task } = this.app;
     const environments = await worldsOf(task);
-    if (task !== this.app.task) return; // another one was chosen
+    if (task !== this.app.task) return; // another task was chosen
     this.environments = environments;
     this.task = task;
     if (!this.player.stage || this.driving) return;
@@ -48,7 +49,7 @@ export class Walk {
       ? `Still walking: ${this.name}, the last body in one piece`
       : 'No robot is walking: the body is not in one piece');
     if (loose) {
-      player.hold(false); // a walk that was requested before may hold it
+      player.hold(false); // an earlier request may have put it on hold
       result.textContent = `${size}; no score: ${loose === 1 ? 'one voxel is' :
         `${loose} voxels are`} loose`;
       return;
@@ -62,7 +63,7 @@ export class Walk {
       this.name = nameOf(robot.id);
       robot.label = this.name;
       player.setRobots([robot]);
-      // It walks first, because ten rollouts would delay its first frame.
+      // The walk comes first, because ten rollouts would delay its first frame.
       await new Promise(requestAnimationFrame);
       if (signal.aborted) return;
       const shownMs = Math.round(performance.now() - started);

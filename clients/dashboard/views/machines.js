@@ -1,4 +1,4 @@
-/** Machines: which ones compute what, since when, how fast, and which ones were lost. */
+/** Machines: which machines compute what, since when and how fast, and which ones were lost. */
 
 import { getJson, post, shared } from '../lib/api.js';
 import { button, h, patch, patchRow, say, table, tile } from '../lib/dom.js';

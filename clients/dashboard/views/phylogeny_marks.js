@@ -20,7 +20,7 @@ export class PhylogenyMarks {
     view.drawn = () => this.draw();
   }
 
-  /** Highlights for a moment where the selected design is. */
+  /** Briefly highlights the selected design. */
   pulse() {
     if (matchMedia('(prefers-reduced-motion: reduce)').matches) return;
     this.pulseStart = performance.now();

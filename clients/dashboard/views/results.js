@@ -16,7 +16,7 @@ const POLYGONS_MAX = 6;
 const WIDE_PX = 760;
 const NARROW_PX = 620;
 const LEAST_PX = 320;
-/** On both sides of the picture. */
+/** Padding on both sides of the picture. */
 const PADDING_PX = 24;
 
 const linkTo = ({ robot, row }) => h('th', { scope: 'row' },
@@ -33,7 +33,7 @@ function panel(title, about, names, rows) {
 
 const cell = (text, name = 'td.right.number') => h(name, {}, text);
 
-/** Returns which designs a table shows: "the best 100 of 2,000". */
+/** Describes which designs a table shows: "the best 100 of 2,000". */
 function shownOf(rows, all) {
   return rows.length < all ? `the best ${rows.length} of ${count(all)} designs`
     : countOf(rows.length, 'design');
@@ -84,7 +84,7 @@ class SuitePicture {
   }
 
   async #refresh() {
-    for (;;) { // what to draw may change in the meantime
+    for (;;) { // what is to be drawn may change in the meantime
       const room = this.element.clientWidth - PADDING_PX;
       const width = room >= WIDE_PX ? WIDE_PX : Math.max(LEAST_PX, Math.min(room, NARROW_PX - 1));
       const path = withQuery(this.path,
@@ -120,7 +120,8 @@ function measuresTable(job, rows) {
 const settingOf = ({ dt_s: dt, precision }) =>
   (dt === null ? '–' : `${number(1000 * dt)} ms, ${precision}`);
 
-/** Returns the table of tolerances: where each design ended, and what each rung gave. */
+/** Returns the table of tolerances: the rung where each design ended, and the result of each
+ * rung. */
 function tolerancesTable(job, rows) {
   const reached = rows.filter(({ tolerance }) => tolerance?.reached).length;
   return panel(`Tolerance ${number(job.tolerance)}`,

@@ -48,7 +48,7 @@ export class RunActions {
     const archive = (id, archived) =>
       request(`v1/jobs/${id}`, { method: 'PATCH', body: { archived } });
     this.clear = button('Clear', clear);
-    /** Which of the selected jobs each action is for. */
+    /** Which of the selected jobs each action applies to. */
     this.actions = may('submit') ? [
       this.#action('Pause', 'paused', ({ state }) => ['queued', 'running'].includes(state),
         ({ id }) => on(id, 'pause')),
@@ -94,7 +94,7 @@ export class RunActions {
     this.changed();
   }
 
-  /** Offers what can be done with the selected jobs. */
+  /** Offers the actions for the selected jobs. */
   set(jobs) {
     this.jobs = jobs;
     say(this.said, `${jobs.length} selected`);

@@ -1,4 +1,4 @@
-/** What the pages of all kinds of runs share: the head, the tabs, and staying up to date. */
+/** Common parts of the pages of all kinds of runs: the head, the tabs, and the updates. */
 
 import { LinkError, getJson } from '../lib/api.js';
 import { announce, button, fill, h, say } from '../lib/dom.js';
@@ -120,7 +120,7 @@ export async function mountRun(main, [id, part = ''], parameters, app, { kind, t
     await tab.refresh();
   }
 
-  // What is new is drawn together, at most twice per second.
+  // News is drawn together, at most twice per second.
   const later = coalesced(async () => {
     await refreshJob();
     await tab.refresh();

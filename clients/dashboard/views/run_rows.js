@@ -10,7 +10,8 @@ import {
 import { progressBar, stateChip, submitter } from './jobs.js';
 
 /**
- * A row: a job, or replicates as one. members: of such a row; isMember: a replicate below it.
+ * A row: a job, or replicates as one row. members: the replicates of that row; isMember: a
+ * replicate shown below it.
  * @typedef {{key: string, job: any, members?: any[], isMember?: boolean}} Row
  */
 

@@ -17,7 +17,7 @@ import { startButton } from './start_buttons.js';
 
 const STATES = ['queued', 'running', 'paused', 'succeeded', 'failed', 'cancelled'];
 const ARCHIVES = [['', 'not archived'], ['true', 'archived'], ['all', 'including archived']];
-/** Shown at first, and with each "Show more". */
+/** Number of rows shown at first, and added by each "Show more". */
 const [FIRST, MORE] = [100, 1000];
 const POLL_MS = 2000;
 
@@ -204,7 +204,7 @@ export async function mount(main, [id], parameters, app) {
     show();
   }
 
-  /** Refreshes, or explains why the rows are still the old ones. */
+  /** Refreshes the rows, or explains why the old ones are still shown. */
   async function reload() {
     try {
       await refresh();
@@ -219,7 +219,7 @@ export async function mount(main, [id], parameters, app) {
     const { kind } = asked;
     const of = given().map(([name, value]) => `${name}=${JSON.stringify(value)}`).join(', ');
     const isStudies = Boolean(KINDS[kind]?.only);
-    // morphoctl cannot list the evaluations alone, nor the studies.
+    // morphoctl cannot list only the evaluations or only the studies.
     const listOf = { '': 'job list', training: 'train list', campaign: 'campaign list' }[kind];
     showDialog('The same from a shell or a program', isStudies
       ? h('p', {}, 'Studies are campaigns with the mode “study”; the service lists all campaigns.')
@@ -228,7 +228,7 @@ export async function mount(main, [id], parameters, app) {
       path: withQuery('v1/jobs', filters()),
       morphoctl: listOf ? [listOf, ...given().filter(([name]) => name !== 'kind')
         .map(([name, value]) => `--${name} ${shellWord(value)}`)].join(' ') : null,
-      python: asked.search ? undefined // which jobs() does not have
+      python: asked.search ? undefined // jobs() does not have a search
         : isStudies ? `jobs = m.jobs(${of})\nprint(jobs[jobs["campaign_mode"] == "study"])`
         : `print(m.jobs(${of}))`,
     })));
@@ -246,7 +246,7 @@ export async function mount(main, [id], parameters, app) {
       filter('Experiment', 'experiment', [['', 'all experiments'], ...experiments]),
       filter('Archived', 'archived', ARCHIVES), order),
     actions.element, panel, none, h('div.row', {}, more, shown)));
-  // The page may be left while facts are read, which takes long.
+  // The user may leave the page while facts are being read, which can take long.
   await new Promise((resolve, reject) => {
     const done = () => resolve(undefined);
     refresh(done).then(done, reject);

@@ -48,7 +48,7 @@ export class Scatter {
     this.canvas.addEventListener('pointerup', () => this.#brushed());
     this.canvas.addEventListener('keydown', (event) => {
       if (event.key !== 'Enter') return;
-      // Without a pointer: the eight best.
+      // Without a pointer, selects the eight best.
       this.selected = [...this.designs]
         .sort((a, b) => (a.score ?? 1e9) - (b.score ?? 1e9)).slice(0, 8);
       this.draw();

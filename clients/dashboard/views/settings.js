@@ -17,7 +17,7 @@ export async function periodOf(job, get) {
 
 const time = (text) => (text ? new Date(text).toLocaleString() : null);
 
-/** Returns what is not a setting of the request: names and texts. */
+/** Returns the facts that are not settings of the request: names and texts. */
 function facts(job) {
   const file = kindOf(job).kind === 'training' ? job.parent : job.controller;
   return [
@@ -80,7 +80,7 @@ export class SettingsTab {
 
   async refresh() {
     const job = this.job();
-    // What may change: a campaign can be extended.
+    // The members that can change; for example, a campaign can be extended.
     const key = JSON.stringify([job.state, job.weight, job.experiment, kindOf(job).settings(job)]);
     if (key === this.shown) return;
     this.shown = key;

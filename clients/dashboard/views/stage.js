@@ -42,7 +42,7 @@ export async function mount(main, path, parameters, app) {
   if (source.driven && player.stage) new Driving(player, () => source.driven(environment));
 
   function keepView() {
-    if (!known) return; // the link's own view is still to be applied
+    if (!known) return; // the view in the link has not been applied yet
     clearTimeout(pending);
     pending = setTimeout(() => app.keep({
       ...source.link(), environment, ...(player.stage && !player.live ? player.view() : {}),
@@ -137,8 +137,8 @@ function checkView(parameters, { n, nRobots: count }) {
     'a camera as six numbers');
 }
 
-/** Loads the world in a link: that of a job, or a set of environments, and a path of the light, if
- * any. */
+/** Loads the world in a link: that of a job, or a set of environments; and the path of the light,
+ * if any. */
 async function worldIn(parameters, path = parameters.get('path')) {
   const world = await placesIn(parameters);
   if (!path) return world;
@@ -318,7 +318,7 @@ function bodyIn({ id, voxels }) {
   return { robot, genotype: voxels ?? genotypeOfId(robot) };
 }
 
-/** Returns how to simulate the same from a shell or a program. */
+/** Returns commands that run the same simulation from a shell or a program. */
 function sameCommands(ids, how) {
   const { world: { set, environments, physics, precision }, environment, controller } = how;
   const { words, input } = filmOf(ids, how);
@@ -333,7 +333,7 @@ function sameCommands(ids, how) {
       designs: ids.map(designOf), controller, record: CHANNELS, environments: [one],
       ...(physics ? { physics } : {}), ...(isDouble ? { precision } : {}),
     },
-    // Films and players are made in float32.
+    // Films and separate pages are made in float32.
     morphoctl: isDouble ? null : words, input,
     python: isDouble ? `scene = m.rollouts(${pythonOf(ids)}, environments=${pythonOf([one])}, ` +
       `controller=${pythonOf(controller)}${rest}, precision="float64")`

@@ -80,7 +80,7 @@ export function fillTasks(element, app, choose) {
     if (points.length) choose(drawnTask(points));
     draw();
   }, task.points ? own : task);
-  // A pointer chooses once; keys move from card to card.
+  // A click chooses and closes the menu; keys move from card to card.
   choice.element.addEventListener('click', ({ detail, target }) => {
     if (detail && target.closest('label:not(:last-child)')) element.hidePopover();
   });

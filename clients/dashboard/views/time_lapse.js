@@ -10,12 +10,12 @@ import { save } from './share.js';
 const LAPSE_S = 10;
 /** More bodies would be shown too briefly. */
 const BODIES_MAX = 64;
-/** Maximum playback speed: if champions are many, only their first steps are shown. */
+/** Maximum playback speed: if there are many champions, only their first steps are shown. */
 const SPEED_MAX = 4;
 const AT_ONCE = 8;
 
 /**
- * A champion, and the generations in a row that it leads.
+ * A champion, and the consecutive generations in which it leads.
  * @typedef {{design: any, from: number, to: number}} Step
  */
 
@@ -64,7 +64,7 @@ export class TimeLapse {
       (job().settings.learning ? ' All of them walk with the newest controller.' : ''));
   }
 
-  /** Sets the generations, also while it plays. */
+  /** Sets the generations, even while the time-lapse plays. */
   set(rows) {
     const { slider } = this;
     const isNewest = slider.value === slider.max;
@@ -84,7 +84,7 @@ export class TimeLapse {
       this.stop();
       if (this.signal.aborted) return;
       if (this.element.isConnected) say(this.said, error.message);
-      else announce(error.message); // another tab of the run is shown now
+      else announce(error.message); // another tab of the run is now shown
     }
   }
 
@@ -101,7 +101,8 @@ export class TimeLapse {
     const { items: [design] } =
       await this.get(`v1/campaigns/${this.id}/population?generation=${generation}&limit=1`);
     this.found.set(generation, design);
-    // Of equal designs, the oldest comes first: it leads while it lives and no score is better.
+    // Among equal designs, the oldest comes first, so it leads as long as it lives and no design
+    // scores better.
     for (let next = generation + 1; this.isFixed && next < Math.min(known, design.died ?? known) &&
       this.#best(next) === design.score; next++) this.found.set(next, design);
     return design;
@@ -139,7 +140,7 @@ export class TimeLapse {
   async #roll(designs) {
     const sha = this.job().result?.controller?.sha256;
     if (this.robots.size > 2 * BODIES_MAX || sha !== this.sha) this.robots.clear();
-    this.sha = sha; // of the controller with which they walk
+    this.sha = sha; // hash of the controller with which they walk
     const fresh = [...new Map(designs.map((one) => [one.number, one])).values()]
       .filter(({ number }) => !this.robots.has(number));
     const robots = fresh.length ? await rollOfCampaign(this.job(), fresh, this.signal) : [];
@@ -173,7 +174,7 @@ export class TimeLapse {
     this.stage.take();
     const { turn, player } = this;
     const { speed, playing } = player;
-    /** Puts back what the user had chosen. */
+    /** Restores what the user had chosen. */
     this.ends = () => {
       player.speed = speed;
       player.setPlaying(playing);
@@ -187,7 +188,7 @@ export class TimeLapse {
     await this.#roll(steps.map(({ design }) => design));
     if (turn !== this.turn) return null;
     const eachS = LAPSE_S / steps.length;
-    const [{ frames, frameS }] = this.robots.values(); // all walk equally long
+    const [{ frames, frameS }] = this.robots.values(); // all walk for the same time
     const walkS = (frames - 1) * frameS;
     const place = (i) => player.setRobots([this.robots.get(steps[i].design.number)]);
     return { turn, n, steps, eachS, place,
@@ -202,7 +203,7 @@ export class TimeLapse {
     const started = performance.now();
     for (let i = 0; i < steps.length; i++) {
       const left = started + 1000 * eachS * (i + 1) - performance.now();
-      if (left <= 0 && i < steps.length - 1) continue; // drawing takes long
+      if (left <= 0 && i < steps.length - 1) continue; // drawing took too long: skip this one
       this.slider.value = String(steps[i].to);
       say(this.said, this.#words(steps[i]));
       place(i);

@@ -1,4 +1,5 @@
-/** One training run: its curves, over those that it is compared with, and its settings. */
+/** One training run: its curves, with those of the runs that it is compared with, and its
+ * settings. */
 
 import { Curve } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
@@ -14,7 +15,7 @@ import { SettingsTab } from './settings.js';
 import { SettingsDiff } from './settings_diff.js';
 import { copyButton, saveLink } from './share.js';
 
-/** What x may be: robots are the steps times the batch; time is wall time. */
+/** Choices of x: `robots` is the steps times the batch; `time` is wall time. */
 const AXES = ['step', 'robots', 'time'];
 const HUES = ['--blue', '--orange', '--green', '--pink'];
 

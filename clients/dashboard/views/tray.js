@@ -36,7 +36,8 @@ export function trayBar(app, viewOf) {
   const compare = button('Compare', () => app.go('compare', { designs: robots().join(',') }),
     { title: 'Their bodies and scores in a table' });
   const breed = button('Breed', () => announced(async () => {
-    const forms = await import('./forms.js'); // not with the bar, which is on every page
+    const forms = await import('./forms.js'); // loaded here, not with the bar, which is on every
+                                              // page
     await forms.breed(app, tray.kept.map(({ genotype }) => ({ voxels: genotype })));
   }), { title: 'Start a campaign from these robots' });
   const clear = button('Clear', async () => {
@@ -89,7 +90,7 @@ export function trayBar(app, viewOf) {
   }
 
   tray.listeners.add(update);
-  // The bar covers the end of the page: what gets the focus scrolls to above it.
+  // The bar covers the end of the page, so elements that get the focus scroll to above the bar.
   new ResizeObserver(() => document.documentElement.style
     .setProperty('--tray', `${bar.hidden ? 0 : bar.offsetHeight}px`)).observe(bar);
   update();

@@ -60,7 +60,8 @@ export class Wall {
       h('div.muted', {}, shortOf(robot))));
   }
 
-  /** Returns the selected designs, each form once: a design may be here in several orientations. */
+  /** Returns the selected designs, each form once, because a design may appear in several
+   * orientations. */
   #founders() {
     const byId = new Map([...this.chosen].reverse().map(([voxels, { id }]) => [id, { voxels }]));
     return [...byId.values()].reverse();
