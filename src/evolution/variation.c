@@ -1,7 +1,7 @@
 /* variation.c: the initial population, and the children of a generation (paper, section 2.5).
  *
- * The results of a seed depend on which numbers are taken from which stream, so this must never
- * change. groups (SELECTION, generation, MO_STREAM_GROUPS): a partial Fisher-Yates shuffle of
+ * The results of a seed depend on which numbers are taken from which stream. Never change this.
+ *   groups        (SELECTION, generation, MO_STREAM_GROUPS): a partial Fisher-Yates shuffle of
  *                 0 … n − 1; its first round(share · n) places mutate, in this order, the
  *                 others recombine
  *   mutants       (MUTATION, generation, i) for the child at place i: mo_genotype_mutate until

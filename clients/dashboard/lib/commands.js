@@ -25,9 +25,9 @@ export function pythonOf(value) {
  * Returns curl, morphoctl and Python commands for one request.
  * @param {{path: string, body?: any, headers?: string[], output?: string, morphoctl: string|null,
  *          python?: string, input?: string}} request
- * path: relative, like "v1/jobs"; body: sent by POST; morphoctl: arguments, each line a command;
- * null if there is no command for it;
- * input: the standard input of each command of morphoctl;
+ *   path: relative, like "v1/jobs"; body: sent by POST; morphoctl: arguments, each line a command;
+ *   null if there is no command for it;
+ *   input: the standard input of each command of morphoctl;
  *   python: calls of the client m, instead of the request itself
  * @returns {[string, string][]}
  */

@@ -54,7 +54,7 @@ const partOf = (blocks, worlds, springs) => ({ rollouts: blocks * worlds, blocks
  * @param {string} kind
  * @param {any} request with all numbers, including those that a preset stands for
  * @param {{periodS: number, environments?: number, isUnknown?: boolean}} of periodS: of the
- * controller; isUnknown: the bodies to learn on are unknown
+ *   controller; isUnknown: the bodies to learn on are unknown
  * @returns {Plan|null}
  */
 function planOf(kind, request, { periodS, environments = ENVIRONMENTS, isUnknown }) {

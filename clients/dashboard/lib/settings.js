@@ -71,7 +71,7 @@ const inOrder = (value) => JSON.stringify(value,
  * @param {any} settings
  * @param {any} usual the preset's, of the same shape; undefined where it has none
  * @returns {{group: string, name: string, path: string[], title: string, text: string, value: any,
- * usual: any, differs: boolean, isUnknown: boolean}[]} isUnknown: the preset does not have it
+ *   usual: any, differs: boolean, isUnknown: boolean}[]} isUnknown: the preset does not have it
  */
 export function rowsOfSettings(settings, usual, path = []) {
   return Object.entries(settings).flatMap(([name, value]) => {

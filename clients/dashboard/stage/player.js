@@ -31,7 +31,7 @@ export class Player {
   /**
    * @param {import('../app.js').app} app
    * @param {{compact?: boolean, height?: number, onchange?: function(): void}} [options]
-   * compact: fewer controls, for a stage beside other content
+   *   compact: fewer controls, for a stage beside other content
    */
   constructor(app, options = {}) {
     const { compact = false, height, onchange = () => {} } = options;

@@ -43,7 +43,7 @@ export class Steering {
   /**
    * @param {import('./stage.js').Stage} stage
    * @param {{world: function(): any, move: function(number[]): void, leave: function(): void}} how
-   * world: has the light, which `move` changes; leave: called when Esc was pressed
+   *   world: has the light, which `move` changes; leave: called when Esc was pressed
    */
   constructor(stage, { world, move, leave }) {
     this.stage = stage;

@@ -44,8 +44,8 @@ export class AtlasPage {
    * @param {any} about its description
    * @param {{app: any, walker: any, links?: function(string): any[], others?: any,
    *   pairs?: function(any): any, compare?: function(any): any}} parts walker:
-   * has element, show(genotype, id) and close(); links: what else can be done with a body; others:
-   * an element beside the title; pairs, compare: make the last sections
+   *   has element, show(genotype, id) and close(); links: what else can be done with a body;
+   *   others: an element beside the title; pairs, compare: make the last sections
    */
   constructor(atlas, about, { app, walker, links = () => [], others = null, pairs = null,
     compare = null }) {

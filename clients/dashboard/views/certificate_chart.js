@@ -7,7 +7,7 @@ import { number } from '../lib/format.js';
 /**
  * The scale of a column.
  * @typedef {{low: number, high: number, ticks: number[], at: function(number): number}} Scale
- * at: the position of a value, from 0 to 100; values outside the scale are at its end
+ *   at: the position of a value, from 0 to 100; values outside the scale are at its end
  */
 
 /** @returns {Scale} */

@@ -151,7 +151,7 @@ export const saveText = (text, name) => save(new Blob([text], { type: 'applicati
  * Saves what the stage shows: a picture, a film, a separate page, or a model for other programs.
  * @param {import('../stage/player.js').Player} player
  * @param {{name: string, film?: string, more?: any[], sections?: any[]}} what name of the files;
- * film: the command that makes the film; more: further buttons; sections: what follows them
+ *   film: the command that makes the film; more: further buttons; sections: what follows them
  */
 export function exportDialog(player, { name, film: command, more = [], sections = [] }) {
   const { stage, canvas } = player;
