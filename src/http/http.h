@@ -52,8 +52,8 @@ struct mo_http_config {
   size_t n_allowed_hosts;
   const struct mo_token *tokens; /* at most MO_TOKENS_MAX; see mo_http_set_tokens */
   size_t n_tokens;
-  bool token_on_loopback; /* also require a token on loopback */
-  bool token_if_any; /* require a token on loopback if any is set; with one, any Host is valid */
+  bool token_on_loopback;   /* also require a token on loopback */
+  bool token_if_any;        /* require a token on loopback if any is set; a token allows any Host */
   const char *certificate;  /* NULL: plain HTTP. Else TLS 1.3: the chain, as text in PEM */
   const char *key;          /* its private key, as text in PEM; both are read only at the start */
   const gid_t *unix_groups; /* groups whose members may use the unix socket, in addition to root and

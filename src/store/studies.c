@@ -45,9 +45,9 @@ static int64_t place_word(struct mo_connection *writer, int64_t id, int kind, co
 
 /* ---- the children of a batch as bytes ---- */
 
-/* The packed form: the number of measures as 32 bits, then the numbers of each child, then a
- * checksum. The numbers are the measures and, if the top bit of the first 32 is set, the client's
- * own score. */
+/* The packed form: the number of measures as 32 bits, then for each child the struct below and its
+ * numbers, then a checksum. The numbers are the measures and, if the top bit of the first 32 is
+ * set, the client's own score. */
 #define HAS_SCORES (UINT32_C(1) << 31)
 struct told_row {
   uint8_t bits[MO_BITS_BYTES];
