@@ -20,7 +20,7 @@ def percent(share):
 def rows_of(atlas, found):
     """Yields the names and texts of the statistics of an atlas."""
     yield "bodies", f"{found.bodies:,}"
-    yield "most voxels", str(atlas.voxels_max)
+    yield "maximum number of voxels", str(atlas.voxels_max)
     yield "orientations", atlas.orientations
     yield "bodies that diverged", f"{found.diverged:,}"
     yield "neighbors of a body", f"{found.neighbors:.2f}"
@@ -34,7 +34,7 @@ def rows_of(atlas, found):
            f"{found.best_basin:,} ({percent(found.best_basin / found.bodies)})")
     yield "median basin, bodies", f"{found.median_basin:g}"
     yield "steps of a steepest ascent, mean", f"{found.ascent_steps:.2f}"
-    yield "regret of its end, median", f"{found.ascent_regret:.4f}"
+    yield "regret at its end, median", f"{found.ascent_regret:.4f}"
     yield f"neutral neighbors (within {found.tolerance:g})", percent(found.neutral)
     yield "epistasis: pairs of voxels", f"{found.epistasis.pairs:,}"
     for kind in ("none", "magnitude", "sign", "reciprocal"):
@@ -51,8 +51,8 @@ def table(columns):
 
 
 def sizes_of(found):
-    yield ("| voxels | bodies | best | median | local optima | no added voxel helps | the best has "
-           "the best of one voxel less | ascent from the best ends at |")
+    yield ("| voxels | bodies | best | median | local optima | no added voxel helps | best body "
+           "contains the best of one voxel fewer | ascent from the best ends at |")
     yield "| --- |" + " --- |" * 7
     for size in found.sizes:
         yield (f"| {size.voxels} | {size.bodies:,} | {size.best:.4f} | {size.median:.4f} | "
