@@ -1,7 +1,8 @@
 /** The dashboard: its frame, its routes, and what all views share. */
 
 import {
-  ApiError, LinkError, connection, decoded, getJson, getToken, setToken, storing, tokenOfAddress,
+  ApiError, LinkError, connection, decoded, dropEarly, getJson, getToken, setToken, storing,
+  tokenOfAddress,
 } from './lib/api.js';
 import { announce, button, fill, h, svg } from './lib/dom.js';
 import { Events, isNews } from './lib/events.js';
@@ -373,6 +374,7 @@ class Frame {
         console.error(error);
       }
     } finally {
+      dropEarly();
       this.#stream();
     }
   }

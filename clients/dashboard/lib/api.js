@@ -76,6 +76,12 @@ function setConnection(up) {
   for (const listener of connection.listeners) listener(up);
 }
 
+/** Replies that early.js has requested, by path. @type {Map<string, Promise<Response>>} */
+const early = (/** @type {any} */ (window).morphodEarly ??= new Map());
+
+/** Drops those that were not used: they become old. */
+export const dropEarly = () => early.clear();
+
 /**
  * Sends one request.
  * @param {string} path relative, like "v1/jobs"
@@ -89,12 +95,14 @@ export async function request(path, options = {}) {
   const token = getToken();
   if (token) all.Authorization = `Bearer ${token}`;
   if (body !== undefined) all['Content-Type'] = 'application/json';
+  const ready = method === 'GET' ? early.get(path) : undefined;
+  early.delete(path);
   let response;
   try {
-    response = await fetch(path, {
+    response = await (ready ?? fetch(path, {
       method, headers: all, signal, credentials: 'omit', redirect: 'error',
       body: body === undefined ? undefined : JSON.stringify(body),
-    });
+    }));
   } catch (error) {
     if (signal?.aborted) throw error;
     setConnection(false);

@@ -197,8 +197,8 @@ export async function worldOfJob(kind, job) {
   const physics = job.settings?.physics ?? job.physics;
   const named = job.settings?.environments ?? job.environments;
   const set = typeof named === 'string' && !isSuite(named) ? named : null;
-  const environments = await (set ? environmentSet(set)
-    : environmentsAt(`v1/${kind}s/${encodeURIComponent(job.id)}/environments`));
+  const environments =
+    await environmentsAt(`v1/${kind}s/${encodeURIComponent(job.id)}/environments`);
   const file = job.result?.controller ?? job.controller;
   const tasks = taskWords(environments);
   return {
@@ -223,7 +223,11 @@ export function environmentsOfCampaign({ id, group, settings: { environments } }
 
 /** Simulates designs of a campaign in the first environment of its world. */
 export async function rollOfCampaign(campaign, designs, signal) {
-  const { environments, controller, physics } = await worldOfJob('campaign', campaign);
+  return rollInWorld(await worldOfJob('campaign', campaign), designs, signal);
+}
+
+/** Simulates them in this world. The request is sent at once. */
+export async function rollInWorld({ environments, controller, physics }, designs, signal) {
   const robots = await roll(designs.map(({ genotype }) => ({ voxels: genotype })), environments[0],
     { controller, physics, signal });
   return robots.map((robot, i) =>

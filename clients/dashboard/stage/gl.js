@@ -26,6 +26,11 @@ export class Program {
     return this;
   }
 
+  /** Waits for the compiler, if it has started: later, this would wait for drawings, too. */
+  await() {
+    if (this.handle && !this.places) this.#finish();
+  }
+
   #finish() {
     const { gl } = this;
     if (!this.handle) this.prepare();

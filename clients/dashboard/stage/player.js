@@ -5,7 +5,7 @@ import { percent } from '../lib/format.js';
 import { resultOf } from '../lib/tasks.js';
 import { driveCamera } from './camera.js';
 import { isSoftware, stageCanvas } from './gl.js';
-import { Stage, takeStage } from './stage.js';
+import { Stage } from './stage.js';
 import { Standings } from './standings.js';
 import { Tags } from './tags.js';
 
@@ -37,8 +37,7 @@ export class Player {
     const { compact = false, height, onchange = () => {} } = options;
     this.app = app;
     this.onchange = onchange;
-    const ready = takeStage();
-    this.canvas = ready?.canvas ?? stageCanvas();
+    this.canvas = stageCanvas();
     this.canvas.tabIndex = 0;
     this.canvas.setAttribute('role', 'img');
     this.canvas.setAttribute('aria-label', 'Stage: no robots yet');
@@ -78,7 +77,7 @@ export class Player {
     this.element = h('div.stage', {}, this.canvas, this.tags.element, this.names, this.coming,
       this.note,      this.controls);
     try {
-      this.stage = ready ?? new Stage(this.canvas, { shadows: !isSoftware() });
+      this.stage = new Stage(this.canvas, { shadows: !isSoftware() });
       this.stage.theme = app.theme;
     } catch (error) {
       fill(this.element, h('p.empty', { role: 'alert' }, error.message));
@@ -362,6 +361,8 @@ export class Player {
         robots.slice(0, 8).map((robot) => `${robot.label ?? ''} ${resultOf(robot)}`).join(', ');
     this.canvas.setAttribute('aria-label', `Stage: ${text}`);
     this.#wake();
+    // Without a GPU, the next frame may have to wait until the rest of the page has been drawn.
+    if (!this.first && robots.length && this.canvas.isConnected) this.#show(this.playing);
   }
 
   /** Shows the names of the robots: in a list and, side by side or in a race, at the robots. */

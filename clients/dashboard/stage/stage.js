@@ -7,7 +7,7 @@
 
 import { Camera } from './camera.js';
 import {
-  Program, dataTexture, isSoftware, shadowTarget, stageCanvas, stageContext, vertexArray,
+  Program, dataTexture, isSoftware, shadowTarget, stageContext, vertexArray,
 } from './gl.js';
 import { frameLanes, lampOf, lanesIn, lanesOf } from './lanes.js';
 import {
@@ -200,6 +200,11 @@ export class Stage {
     gl.flush(); // starts the compiler
   }
 
+  /** Waits for the programs that compile, before there is anything to draw. */
+  #await() {
+    for (const program of Object.values(this.programs)) program.await();
+  }
+
   /**
    * Replaces the robots on the stage.
    * @param {Robot[]} robots
@@ -207,6 +212,7 @@ export class Stage {
    */
   setRobots(robots, isMore = false) {
     const { gl } = this;
+    this.#await();
     const kept = isMore ? this.robots : [];
     for (const { gpu } of isMore ? [] : this.robots) {
       if (gpu) release(gl, gpu);
@@ -339,7 +345,10 @@ export class Stage {
     gl.disable(gl.SCISSOR_TEST);
     gl.viewport(0, 0, width, height);
     clear(gl, this.sideBySide ? look.line : look.background);
-    if (empty) return;
+    if (empty) {
+      this.#await();
+      return;
+    }
     this.drawn = this.views();
     [this.drawnOf, this.turn] = [this.robots, 0];
     for (const view of this.drawn) this.#drawView(view, look);
@@ -583,19 +592,4 @@ export class Stage {
     gl.depthMask(true);
     gl.disable(gl.BLEND);
   }
-}
-
-/** A stage that was made in advance. @type {?Stage} */
-let spareStage = null;
-
-/** Makes a stage in advance: its shaders compile while the rest of the page loads. */
-export function prepareStage() {
-  spareStage = new Stage(stageCanvas(), { shadows: !isSoftware() });
-}
-
-/** Returns that stage, once, or null. */
-export function takeStage() {
-  const stage = spareStage;
-  spareStage = null;
-  return stage;
 }

@@ -1,6 +1,6 @@
 /** One campaign: its head, and its tabs. */
 
-import { listOf, post } from '../lib/api.js';
+import { post } from '../lib/api.js';
 import { announce, button, fill, h } from '../lib/dom.js';
 import { count, countOf, inOwnUnit, score } from '../lib/format.js';
 import { ownScoreOf, replicateOf } from '../lib/kinds.js';
@@ -8,46 +8,17 @@ import { may } from '../lib/rights.js';
 import { worldOfJob } from '../lib/rollouts.js';
 import { measureOf, meters } from '../lib/tasks.js';
 import { CampaignCurves } from './campaign_curves.js';
-import { CampaignStage } from './champions.js';
+import { startChampions } from './champions.js';
 import { submitter } from './jobs.js';
 import { mountRun } from './run_page.js';
-import { Scatter } from './scatter.js';
-import { SettingsTab } from './settings.js';
 import { announced, copyButton, formDialog, saveLink, showDialog } from './share.js';
 
-const DESIGNS_MAX = 10000;
-
-/** The population: a plot of any two traits, and the designs in its brush, which walk. */
-class PopulationTab {
-  constructor(shared) {
-    this.shared = shared;
-    this.population = [];
-    this.stage = new CampaignStage(shared);
-    this.scatter = new Scatter((numbers) => this.stage.walk(numbers.map((number) =>
-      this.population.find((one) => one.number === number)).filter(Boolean)), shared.own?.name);
-    this.element = h('div.grid', {}, this.scatter.element, this.stage.element);
-  }
-
-  async refresh() {
-    const { id, get, job } = this.shared;
-    if (job().progress.generation === null) return;
-    const population = await listOf(get, `v1/campaigns/${id}/population`, {}, DESIGNS_MAX);
-    this.population = population;
-    this.scatter.set(population);
-    if (this.stage.isEmpty) {
-      const best = [...population].sort((a, b) => (a.score ?? Infinity) - (b.score ?? Infinity));
-      await this.stage.walk(best.slice(0, 4));
-    }
-  }
-
-  destroy() {
-    this.stage.destroy();
-    this.scatter.destroy();
-  }
-}
-
-/** The tabs that are shown here; the phylogeny has its own page. */
-const tabs = { '': CampaignCurves, population: PopulationTab, settings: SettingsTab };
+/** The tabs that are shown here; the phylogeny has a page. Only the first loads with the page. */
+const tabs = {
+  '': async () => CampaignCurves,
+  population: async () => (await import('./scatter.js')).PopulationTab,
+  settings: async () => (await import('./settings.js')).SettingsTab,
+};
 
 export async function mount(main, path, parameters, app) {
   const [id, part] = path;
@@ -57,16 +28,21 @@ export async function mount(main, path, parameters, app) {
   if (part === 'replicates') {
     return (await import('./replicates.js')).mount(main, id, parameters, app);
   }
-  return mountRun(main, path, parameters, app, { kind: 'campaign', tabs, prepare });
+  return mountRun(main, path, parameters, app, { kind: 'campaign', tabs,
+    prepare: (shared) => prepare(shared, part) });
 }
 
-async function prepare(shared) {
+async function prepare(shared, part) {
   const { id, others, get, job } = shared;
   const campaign = job();
   const own = ownScoreOf(campaign); // not the mean of the losses
-  const measure = others.length || own ? null
-    : measureOf((await worldOfJob('campaign', campaign)).environments);
-  Object.assign(shared, { own, measure, shown: (loss) => (own ? inOwnUnit(own, loss)
+  const [world, comparing] = await Promise.all([
+    others.length || own ? null : worldOfJob('campaign', campaign),
+    others.length ? Promise.all([import('./comparison.js'), import('./settings_diff.js')]) : null,
+    part ? null : startChampions(shared).catch(() => {}), // the champions try again
+  ]);
+  const measure = world && measureOf(world.environments);
+  Object.assign(shared, { own, measure, comparing, shown: (loss) => (own ? inOwnUnit(own, loss)
     : measure ? meters(measure.valueOf(loss)) : score(loss)) });
   const siblings = h('span.row');
   if (campaign.group.replicates > 1) showSiblings(siblings, campaign, get).catch(() => {});

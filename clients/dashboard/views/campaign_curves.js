@@ -3,15 +3,13 @@
 import { Curve } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
 import {
-  ChartGroup, axisIn, axisOptions, axisRow, sums, timeUnit,
+  ChartGroup, DASHES, HUES, axisIn, axisOptions, axisRow, sums, timeUnit,
 } from '../lib/chart_group.js';
 import { h } from '../lib/dom.js';
 import { percent } from '../lib/format.js';
 import { meters } from '../lib/tasks.js';
 import { CampaignStage, Champions } from './champions.js';
-import { Comparison, DASHES, HUES } from './comparison.js';
 import { emptyText } from './jobs.js';
-import { SettingsDiff } from './settings_diff.js';
 import { TimeLapse } from './time_lapse.js';
 
 /**
@@ -57,7 +55,7 @@ const secondsOf = ({ seconds }) => seconds;
 export class CampaignCurves {
   constructor(shared) {
     this.shared = shared;
-    const { id, others, get, job, app, parameters } = shared;
+    const { id, others, get, job, app, parameters, comparing } = shared;
     const ids = [id, ...others];
     // A study with its own scores need not compute any rollouts.
     const axes = AXES.filter((axis) => axis !== 'rollouts' || !job().study?.own_score);
@@ -67,7 +65,8 @@ export class CampaignCurves {
     this.curves = ids.map((one) => new Curve(`v1/campaigns/${one}/generations`));
     this.replicates = group.replicates > 1
       ? new Curve(`v1/campaigns/${group.id}/replicates`) : null;
-    this.compared = others.length ? new Comparison(ids, get, this.group) : null;
+    const [{ Comparison }, { SettingsDiff }] = comparing ?? [{}, {}];
+    this.compared = Comparison ? new Comparison(ids, get, this.group) : null;
     this.charts = chartsOf(shared, this.group);
     this.group.check();
     this.#placeCompared();
@@ -76,7 +75,7 @@ export class CampaignCurves {
     this.lapse = new TimeLapse(shared, this.stage);
     const { race, learning, ...first } = this.charts;
     this.element = h('div.stack', {}, this.compared?.element,
-      others.length ? new SettingsDiff(app, job(), others, get).element : null,
+      SettingsDiff ? new SettingsDiff(app, job(), others, get).element : null,
       h('div.grid', {}, h('div.stack', {}, this.stage.element, this.lapse.element,
         this.champions.element),
         h('div.stack.charts', {}, axisRow(axes, this.axis, (axis) => {
@@ -99,7 +98,7 @@ export class CampaignCurves {
   async refresh() {
     // The first robots walk without waiting for the curves.
     const isFirst = this.stage.isEmpty;
-    if (isFirst) this.champions.refresh();
+    if (isFirst) await this.champions.refresh();
     const fresh = await Promise.all([...this.curves, ...(this.replicates ? [this.replicates] : [])]
       .map((curve) => curve.refresh(this.shared.signal)));
     if (fresh.some(Boolean)) {

@@ -15,7 +15,7 @@ import { copyButton, saveLink } from './share.js';
 export async function mount(main, path, parameters, app) {
   await loadSheet('certificate.css');
   return mountRun(main, path, parameters, app,
-    { kind: 'certificate', tabs: { '': Report }, prepare });
+    { kind: 'certificate', tabs: { '': async () => Report }, prepare });
 }
 
 async function prepare({ id }) {

@@ -4,13 +4,36 @@ import { button, fill, h, patch } from '../lib/dom.js';
 import { voxels } from '../lib/format.js';
 import { nameOf, shortOf } from '../lib/names.js';
 import { picture } from '../lib/picture.js';
-import { rollOfCampaign } from '../lib/rollouts.js';
+import { rollInWorld, rollOfCampaign, worldOfJob } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { trayButton } from './add.js';
 import { breedButton } from './start_buttons.js';
 
 const badges = () => import('./certificate_badges.js');
 const WALKING_MAX = 64;
+/** This many of the champions walk first. */
+const FIRST = 4;
+const PATIENCE_MS = 300;
+
+/** Returns designs, the best one first. */
+function bestFirst(items) {
+  const best = items.reduce((a, b) => ((a.score ?? Infinity) <= (b.score ?? Infinity) ? a : b));
+  return [best, ...items.filter((one) => one !== best)];
+}
+
+/**
+ * Requests the champions of a campaign, and then the rollouts of the first, which the service
+ * computes while the page is built. The page's Champions show both.
+ */
+export async function startChampions(shared) {
+  const { id, get, job, signal } = shared;
+  if (job().progress.generation === null) return;
+  const [list, world] = await Promise.all([get(`v1/campaigns/${id}/champions`),
+    worldOfJob('campaign', job())]);
+  const robots = rollInWorld(world, bestFirst(list.items).slice(0, FIRST), signal);
+  robots.catch(() => {}); // the stage reports it
+  shared.first = { list, robots };
+}
 
 /** A stage for designs of a campaign, in the world of their scores. */
 export class CampaignStage {
@@ -34,8 +57,8 @@ export class CampaignStage {
     this.player.setNote('');
   }
 
-  /** Shows designs walking. */
-  async walk(designs) {
+  /** Shows designs walking. robots: their rollouts, if these have been requested. */
+  async walk(designs, robots = null) {
     const shown = designs.slice(0, WALKING_MAX);
     if (!shown.length) return;
     this.taken();
@@ -44,11 +67,11 @@ export class CampaignStage {
     const { turn } = this;
     this.player.setNote('Walking…');
     try {
-      const robots = await rollOfCampaign(this.job(), shown, this.signal);
-      if (turn !== this.turn) return; // something else was chosen in the meantime
-      this.player.setRobots(robots);
-      (await badges()).markStage(this.player, robots, this.signal);
+      const walking = await (robots ?? rollOfCampaign(this.job(), shown, this.signal));
+      if (turn !== this.turn) return; // something else was chosen
+      this.player.setRobots(walking);
       this.player.setNote('');
+      badges().then((to) => to.markStage(this.player, walking, this.signal)).catch(() => {});
     } catch (error) {
       if (!this.signal.aborted && turn === this.turn) this.player.setNote(error.message);
     }
@@ -61,7 +84,9 @@ export class CampaignStage {
 
 /** Cards of the best and the most distinct designs. Each walks when it is pressed. */
 export class Champions {
-  constructor({ app, id, get, job, shown, signal }, stage) {
+  constructor({ app, id, get, job, shown, signal, first }, stage) {
+    /** What startChampions has requested; it is shown once. */
+    this.first = first;
     this.path = `v1/campaigns/${id}/champions`;
     this.get = get;
     this.job = job;
@@ -89,17 +114,19 @@ export class Champions {
   async refresh() {
     this.nothing.hidden = this.job().progress.generation !== null;
     if (!this.nothing.hidden) return;
+    const { list, robots } = this.first ?? {};
+    this.first = null;
     try {
-      await this.#show(await this.get(this.path));
+      await this.#show(list ?? await this.get(this.path), robots);
     } catch (error) {
       if (!this.signal.aborted) fill(this.nothing, error.message).hidden = false;
     }
   }
 
-  async #show({ items, re_evaluated: again = null }) {
-    const best = items.reduce((a, b) => ((a.score ?? Infinity) <= (b.score ?? Infinity) ? a : b));
-    // The best come first; a selected design stays even when it is no longer a champion.
-    const shown = [best, ...items.filter((one) => one !== best)];
+  async #show({ items, re_evaluated: again = null }, robots) {
+    // A selected design stays even when it is no longer a champion.
+    const shown = bestFirst(items);
+    const [best] = shown;
     for (const design of this.chosen.values()) {
       if (!shown.some((one) => one.number === design.number)) shown.push(design);
     }
@@ -107,9 +134,12 @@ export class Champions {
       (element, design) => {
         element.querySelector('.crown').hidden = design.number !== best.number;
       });
-    if (this.stage.isEmpty) this.stage.walk(shown.slice(0, 4)); // the stage need not wait for the
-                                                                // badges
-    (await badges()).markCards(this.cards, shown, this.shown, again);
+    if (this.stage.isEmpty) {
+      // What else there is to show waits for the first robots, but not for long.
+      await Promise.race([this.stage.walk(shown.slice(0, FIRST), robots),
+        new Promise((resolve) => setTimeout(resolve, PATIENCE_MS))]);
+    }
+    badges().then((to) => to.markCards(this.cards, shown, this.shown, again)).catch(() => {});
   }
 
   /** Returns the card of a champion: it walks here, or is selected for the stage or as a

@@ -18,7 +18,8 @@ const SHOWN_MAX = 500;
 
 export function mount(main, path, parameters, app) {
   return mountRun(main, path, parameters, app,
-    { kind: 'evaluation', tabs: { '': Results, settings: SettingsTab }, prepare });
+    { kind: 'evaluation', prepare,
+      tabs: { '': async () => Results, settings: async () => SettingsTab } });
 }
 
 async function prepare(shared) {

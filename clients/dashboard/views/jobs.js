@@ -5,7 +5,6 @@ import { button, h, isInUse, say } from '../lib/dom.js';
 import { countOf, duration, number } from '../lib/format.js';
 import { isOpen, kindOf, partOf, progressOf, stateOf, titleOf } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
-import { editDialog } from './job_edit.js';
 import { announced, confirmDialog } from './share.js';
 
 /** Jobs that can be compared with the first on one page: one for each of the other colors. */
@@ -80,7 +79,8 @@ export class JobParts {
     this.weightField = mayChange
       ? h('label.field.inline', {}, h('span', {}, 'Weight'), this.weight) : null;
     this.actions = mayChange ? [this.pause, this.cancel] : null;
-    this.edit = mayChange ? button('Edit', () => editDialog(this.job, changed)) : null;
+    this.edit = mayChange ? button('Edit', () => announced(async () =>
+      (await import('./job_edit.js')).editDialog(this.job, changed))) : null;
     this.row = h('div.row', {}, this.actions, this.edit, this.weightField, this.rate);
   }
 

@@ -84,9 +84,10 @@ class RunHead {
  * @param {string[]} path the id, and the tab
  * @param {URLSearchParams} parameters
  * @param {import('../app.js').app} app
- * @param {{kind: string, tabs: Object<string, any>, prepare: function(Shared): Promise<any>}} page
- *   tabs: classes with an element, refresh() and destroy(), by the end of the address; prepare:
- *   returns the parts of the head, and about(job): what is said beside the title
+ * @param {{kind: string, tabs: Object<string, function(): Promise<any>>,
+ *   prepare: function(Shared): Promise<any>}} page
+ *   tabs: by the end of the address, functions that load classes with an element, refresh() and
+ *   destroy(); prepare: returns the parts of the head, and about(job): what is said beside the title
  */
 export async function mountRun(main, [id, part = ''], parameters, app, { kind, tabs, prepare }) {
   const { name, path } = KINDS[kind];
@@ -104,6 +105,7 @@ export async function mountRun(main, [id, part = ''], parameters, app, { kind, t
   const place = h('div.stack');
   /** @type {any} */
   let tab = null;
+  let wanted = part;
 
   async function refreshJob() {
     const was = job.state;
@@ -113,8 +115,11 @@ export async function mountRun(main, [id, part = ''], parameters, app, { kind, t
   }
 
   async function turnTo(other) {
+    wanted = other;
+    const Tab = await tabs[other]();
+    if (wanted !== other) return;
     tab?.destroy();
-    tab = new tabs[other](shared);
+    tab = new Tab(shared);
     head.turnTo(other);
     fill(place, tab.element);
     await tab.refresh();

@@ -1,8 +1,12 @@
-/** A population as points: any two traits, and a brush that selects designs. */
+/** The tab Population of a campaign: its designs as points, and those in a brush walk. */
 
+import { listOf } from '../lib/api.js';
 import { ticks } from '../lib/chart.js';
 import { announce, button, fill, h, paint, select, swatch } from '../lib/dom.js';
 import { countOf, number } from '../lib/format.js';
+import { CampaignStage } from './champions.js';
+
+const DESIGNS_MAX = 10000;
 
 /** Traits of a design, in addition to the measures of a study: names by key. */
 const TRAITS = { score: 'score', voxels: 'voxels', footprint: 'footprint', springs: 'springs',
@@ -14,7 +18,7 @@ const OPERATOR_COLORS = { mutation: '--orange', crossover: '--blue', random: '--
 const colorOf = (operator) => OPERATOR_COLORS[operator] ?? '--pink'; // a study's custom measure
 const MARGIN = { left: 56, right: 14, top: 28, bottom: 46 };
 
-export class Scatter {
+class Scatter {
   /**
    * @param {function(number[]): void} chosen called with the numbers of the designs in the brush
    * @param {string} [score] the name of the score
@@ -171,5 +175,34 @@ export class Scatter {
   #choose() {
     this.walk.disabled = this.selected.length === 0;
     if (this.selected.length) this.chosen(this.selected.map((design) => design.number));
+  }
+}
+
+/** The population: any two traits of its designs, and those in a brush walking. */
+export class PopulationTab {
+  constructor(shared) {
+    this.shared = shared;
+    this.population = [];
+    this.stage = new CampaignStage(shared);
+    this.scatter = new Scatter((numbers) => this.stage.walk(numbers.map((number) =>
+      this.population.find((one) => one.number === number)).filter(Boolean)), shared.own?.name);
+    this.element = h('div.grid', {}, this.scatter.element, this.stage.element);
+  }
+
+  async refresh() {
+    const { id, get, job } = this.shared;
+    if (job().progress.generation === null) return;
+    const population = await listOf(get, `v1/campaigns/${id}/population`, {}, DESIGNS_MAX);
+    this.population = population;
+    this.scatter.set(population);
+    if (this.stage.isEmpty) {
+      const best = [...population].sort((a, b) => (a.score ?? Infinity) - (b.score ?? Infinity));
+      await this.stage.walk(best.slice(0, 4));
+    }
+  }
+
+  destroy() {
+    this.stage.destroy();
+    this.scatter.destroy();
   }
 }

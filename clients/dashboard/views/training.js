@@ -21,7 +21,8 @@ const HUES = ['--blue', '--orange', '--green', '--pink'];
 
 export function mount(main, path, parameters, app) {
   return mountRun(main, path, parameters, app,
-    { kind: 'training', tabs: { '': TrainingCurves, settings: SettingsTab }, prepare });
+    { kind: 'training', prepare,
+      tabs: { '': async () => TrainingCurves, settings: async () => SettingsTab } });
 }
 
 async function prepare({ id, get, job }) {
