@@ -61,9 +61,9 @@ function placeOf() {
 }
 
 /** Loads a view and all its imports at once; index.html has the list. */
-function load(module) {
+function load(key, module) {
   /** @type {HTMLMetaElement} */
-  const names = document.querySelector(`meta[name="${module}"]`);
+  const names = document.querySelector(`meta[data-view="${key}"]`);
   for (const name of names?.content.split(' ') ?? []) {
     const { href } = new URL(`${name}.js`, import.meta.url);
     document.head.append(h('link', { rel: 'modulepreload', href }));
@@ -335,7 +335,7 @@ class Frame {
     this.#offerTasks(hasTask);
     try {
       if (hasTask) this.#takeTask(parameters.get('task'));
-      const [{ mount }] = await Promise.all([load(entry.module), this.#followEvents(),
+      const [{ mount }] = await Promise.all([load(name, entry.module), this.#followEvents(),
         this.#identify()]);
       if (turn !== this.turn) return;
       const { last } = app.events;

@@ -7,22 +7,18 @@
   /** @type {any} */
   const page = window;
   const [path, query] = location.hash.replace(/^#\/?/, '').split('?');
-  const [view = 'home', id, ...rest] = path.split('/').filter(Boolean);
+  const view = path.split('/')[0] || 'home';
 
-  /** Returns what the view requests first. */
+  /** Returns what the view requests first, if it is one of the usual addresses. */
   function firstOf() {
+    const campaign = /^campaigns\/\d+$/.exec(path)?.[0];
+    if (campaign) return [`v1/${campaign}`, `v1/${campaign}/environments`];
     const parameters = new URLSearchParams(query);
-    const set = encodeURIComponent(parameters.get('set') ?? 'paper-test');
-    const environments = `v1/environment-sets/${set}`;
-    const best = 'v1/designs?sort=score&limit=4';
-    if (view === 'campaigns' && /^\d+$/.test(id) && !rest.length) {
-      return ['', '/champions', '/environments'].map((part) => `v1/campaigns/${id}${part}`);
-    }
-    if (view === 'stage' && !parameters.has('world') && !parameters.has('evaluation')) {
-      return parameters.get('designs') ? [environments] : [environments, best];
-    }
-    if (parameters.has('task') || sessionStorage.getItem('morphod-task')) return [];
-    return view === 'home' ? [environments, best] : view === 'lab' ? [environments] : [];
+    const isUsual = ['world', 'set', 'evaluation', 'task'].every((name) => !parameters.has(name));
+    const isOfTask = view === 'home' && !sessionStorage.getItem('morphod-task');
+    if (!isUsual || !(isOfTask || view === 'stage')) return [];
+    return ['v1/environment-sets/paper-test',
+      ...(parameters.has('designs') ? [] : ['v1/designs?sort=score&limit=4'])];
   }
 
   /** Sends the first requests; lib/api.js uses each reply once. */
@@ -41,8 +37,7 @@
     const newest = send('v1/events?format=json&after=0&limit=1');
     send('v1/whoami');
     // An older reply could lack a change that no event will announce.
-    await newest;
-    firstOf().forEach(send);
+    if ((await newest).ok) firstOf().forEach(send);
   }
 
   // Not if the address has a token, or if the frame was faster.

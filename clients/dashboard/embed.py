@@ -151,7 +151,7 @@ def preload(sources: dict[str, str]) -> str:
                                 re.MULTILINE):
         names = " ".join(name.removesuffix(".js")
                          for name in sorted(modules_of(sources, view) - core))
-        lines.append(f'<meta name="./{view}" data-view="{key}" content="{names}">')
+        lines.append(f'<meta name="view" data-view="{key}" content="{names}">')
     return "\n".join(lines)
 
 

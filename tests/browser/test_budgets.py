@@ -42,16 +42,60 @@ def test_the_page_lists_the_modules_of_every_view(service):
         assert module in listed[name].split()
 
 
+PICTURE = "performance.getEntriesByName('morphod-first-picture').length"
+
+
 @pytest.mark.parametrize("view, shown, length", [
     # The page, its frame, the modules of the view along with the number of the newest event, and
     # the data. The newest events may come between these.
     ("overview", "document.querySelector('.tile')", 5),
-    # The same, then the robots.
-    ("", "performance.getEntriesByName('morphod-first-picture').length", 6),
-    ("stage", "performance.getEntriesByName('morphod-first-picture').length", 6)
+    # The page, its frame, the number of the newest event along with the modules of the view, the
+    # data, and the robots.
+    ("", PICTURE, 5),
+    ("stage", PICTURE, 5),
+    # The same, with the champions after the campaign.
+    ("campaigns/{}", PICTURE, 6)
 ])
-def test_a_page_waits_for_few_requests_in_a_row(browser, view, shown, length):
-    assert browser.chain(view, shown) <= length
+def test_a_page_waits_for_few_requests_in_a_row(service, browser, view, shown, length):
+    assert browser.chain(view.format(service.campaign), shown) <= length
+
+
+# Notes which replies early.js requested, and which of them no view used.
+EARLY = """
+window.early = [];
+window.unused = null;
+const { set, clear } = Map.prototype;
+Map.prototype.set = function (key, value) {
+  if (this === window.morphodEarly) window.early.push(key);
+  return set.call(this, key, value);
+};
+Map.prototype.clear = function () {
+  if (this === window.morphodEarly) window.unused ??= [...this.keys()];
+  clear.call(this);
+};
+"""
+BEST, SET = "v1/designs?sort=score&limit=4", "v1/environment-sets/paper-test"
+
+
+@pytest.mark.parametrize("view, urls", [
+    ("", [SET, BEST]), ("stage", [SET, BEST]), ("stage?designs={robot}", [SET]),
+    ("campaigns/{campaign}", ["v1/campaigns/{campaign}", "v1/campaigns/{campaign}/environments"]),
+    ("overview", []), ("stage?world=campaign-{campaign}", []), ("campaigns/{campaign}/settings", [])
+])
+def test_early_replies_are_used_once(service, browser, view, urls):
+    """All of them, instead of the same requests of the views, which send no request twice."""
+    robot = service.get("/v1/designs?limit=1")["items"][0]["id"]
+    names = {"campaign": service.campaign, "robot": robot}
+    with browser.adding(EARLY):
+        browser.open(view.format(**names))
+        browser.until("window.unused")
+    first = ["v1/events?format=json&after=0&limit=1", "v1/whoami"]
+    assert browser.run("return window.early") == first + [url.format(**names) for url in urls]
+    assert browser.run("return window.unused") == []
+    sent = browser.run("return performance.getEntriesByType('resource').map((one) => one.name)")
+    for url in browser.run("return window.early"):
+        assert sent.count(browser.base + url) == 1, url
+    assert browser.faults() == []
 
 
 # Draws 100,000 values between 0 and 0.1, one of 1, and a gap. Returns the cost, and how many rows

@@ -6,10 +6,6 @@ import { number } from './format.js';
 
 const listIn = (parameters, name, mark) => (parameters.get(name) ?? '').split(mark).filter(Boolean);
 
-/** The colors of a campaign and of those compared with it, in every chart. */
-export const HUES = ['--blue', '--green', '--pink', '--gray'];
-export const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
-
 export class ChartGroup {
   /**
    * @param {URLSearchParams} [parameters] of the link: zoom=FROM..TO, log and linear=CHART,…,

@@ -36,14 +36,14 @@ async function prepare(shared, part) {
   const { id, others, get, job } = shared;
   const campaign = job();
   const own = ownScoreOf(campaign); // not the mean of the losses
-  const [world, comparing] = await Promise.all([
+  const [world, comparing, first] = await Promise.all([
     others.length || own ? null : worldOfJob('campaign', campaign),
     others.length ? Promise.all([import('./comparison.js'), import('./settings_diff.js')]) : null,
-    part ? null : startChampions(shared).catch(() => {}), // the champions try again
+    part ? null : startChampions(shared).catch(() => null), // the page tries again
   ]);
   const measure = world && measureOf(world.environments);
-  Object.assign(shared, { own, measure, comparing, shown: (loss) => (own ? inOwnUnit(own, loss)
-    : measure ? meters(measure.valueOf(loss)) : score(loss)) });
+  Object.assign(shared, { own, measure, comparing, first, shown: (loss) => (own
+    ? inOwnUnit(own, loss) : measure ? meters(measure.valueOf(loss)) : score(loss)) });
   const siblings = h('span.row');
   if (campaign.group.replicates > 1) showSiblings(siblings, campaign, get).catch(() => {});
   return {

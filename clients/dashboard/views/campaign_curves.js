@@ -3,7 +3,7 @@
 import { Curve } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
 import {
-  ChartGroup, DASHES, HUES, axisIn, axisOptions, axisRow, sums, timeUnit,
+  ChartGroup, axisIn, axisOptions, axisRow, sums, timeUnit,
 } from '../lib/chart_group.js';
 import { h } from '../lib/dom.js';
 import { percent } from '../lib/format.js';
@@ -151,6 +151,7 @@ export class CampaignCurves {
       });
     }
     others.forEach((other, i) => {
+      const [{ DASHES, HUES }] = this.shared.comparing;
       const { rows: r } = curves[i + 1];
       const ox = along(r);
       scores.push({ name: `25 to 75 % of ${other}`, kind: 'band', x: ox, y: ox, color: HUES[i + 1],

@@ -21,18 +21,19 @@ function bestFirst(items) {
   return [best, ...items.filter((one) => one !== best)];
 }
 
+const listChampions = ({ id, get }) => get(`v1/campaigns/${id}/champions`);
+
 /**
  * Requests the champions of a campaign, and then the rollouts of the first, which the service
- * computes while the page is built. The page's Champions show both.
+ * computes while the page is built. Returns both for the page's Champions; null if there are none.
  */
 export async function startChampions(shared) {
-  const { id, get, job, signal } = shared;
-  if (job().progress.generation === null) return;
-  const [list, world] = await Promise.all([get(`v1/campaigns/${id}/champions`),
-    worldOfJob('campaign', job())]);
-  const robots = rollInWorld(world, bestFirst(list.items).slice(0, FIRST), signal);
+  if (shared.job().progress.generation === null) return null;
+  const [list, world] = await Promise.all([listChampions(shared),
+    worldOfJob('campaign', shared.job())]);
+  const robots = rollInWorld(world, bestFirst(list.items).slice(0, FIRST), shared.signal);
   robots.catch(() => {}); // the stage reports it
-  shared.first = { list, robots };
+  return { list, robots };
 }
 
 /** A stage for designs of a campaign, in the world of their scores. */
@@ -84,11 +85,9 @@ export class CampaignStage {
 
 /** Cards of the best and the most distinct designs. Each walks when it is pressed. */
 export class Champions {
-  constructor({ app, id, get, job, shown, signal, first }, stage) {
-    /** What startChampions has requested; it is shown once. */
-    this.first = first;
-    this.path = `v1/campaigns/${id}/champions`;
-    this.get = get;
+  constructor(shared, stage) {
+    const { app, id, job, shown, signal } = shared;
+    this.shared = shared;
     this.job = job;
     this.shown = shown;
     this.signal = signal;
@@ -114,10 +113,10 @@ export class Champions {
   async refresh() {
     this.nothing.hidden = this.job().progress.generation !== null;
     if (!this.nothing.hidden) return;
-    const { list, robots } = this.first ?? {};
-    this.first = null;
+    const { shared, shared: { first } } = this;
+    shared.first = null; // it is shown once
     try {
-      await this.#show(list ?? await this.get(this.path), robots);
+      await this.#show(first?.list ?? await listChampions(shared), first?.robots);
     } catch (error) {
       if (!this.signal.aborted) fill(this.nothing, error.message).hidden = false;
     }

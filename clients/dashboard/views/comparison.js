@@ -2,12 +2,15 @@
  * interval. */
 
 import { Chart } from '../lib/chart.js';
-import { DASHES, HUES } from '../lib/chart_group.js';
 import { fill, h, table } from '../lib/dom.js';
 import { countOf, score, signed } from '../lib/format.js';
 import { replicateOf, titleOf } from '../lib/kinds.js';
 import { CONFIDENCE, compareMeans } from '../lib/statistics.js';
 import { Curve } from '../lib/api.js';
+
+/** The colors of this campaign and of those compared with it, in every chart. */
+export const HUES = ['--blue', '--green', '--pink', '--gray'];
+export const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
 
 /**
  * Returns the setting whose difference makes the scores of two sides incomparable, as in morphoctl

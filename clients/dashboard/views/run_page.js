@@ -87,7 +87,7 @@ class RunHead {
  * @param {{kind: string, tabs: Object<string, function(): Promise<any>>,
  *   prepare: function(Shared): Promise<any>}} page
  *   tabs: by the end of the address, functions that load classes with an element, refresh() and
- *   destroy(); prepare: returns the parts of the head, and about(job): what is said beside the title
+ *   destroy(); prepare: returns the parts of the head, and about(job): the words beside the title
  */
 export async function mountRun(main, [id, part = ''], parameters, app, { kind, tabs, prepare }) {
   const { name, path } = KINDS[kind];
