@@ -362,7 +362,7 @@ export class Player {
     this.canvas.setAttribute('aria-label', `Stage: ${text}`);
     this.#wake();
     // Without a GPU, the next frame may have to wait until the rest of the page has been drawn.
-    if (!this.first && robots.length && this.canvas.isConnected) this.#show(this.playing);
+    if (!this.first && robots.length && this.canvas.isConnected) this.#show();
   }
 
   /** Shows the names of the robots: in a list and, side by side or in a race, at the robots. */
