@@ -15,7 +15,7 @@
     if (campaign) return [`v1/${campaign}`, `v1/${campaign}/environments`];
     const parameters = new URLSearchParams(query);
     const isUsual = ['world', 'set', 'evaluation', 'task'].every((name) => !parameters.has(name));
-    const isOfTask = view === 'home' && !sessionStorage.getItem('morphod-task');
+    const isOfTask = view === 'home' && /^(photo)?$/.test(sessionStorage['morphod-task'] ?? '');
     if (!isUsual || !(isOfTask || view === 'stage')) return [];
     return ['v1/environment-sets/paper-test',
       ...(parameters.has('designs') ? [] : ['v1/designs?sort=score&limit=4'])];
