@@ -27,10 +27,10 @@ JOBS = {
 PLATES = [{"cells": [[x, y, 0] for x in range(width) for y in range(depth)]}
           for width in range(1, 7) for depth in range(1, 7)]
 LONG = {
-    "evaluations": {"designs": PLATES, "physics": {"n_steps": 5000}, "priority": "batch"},
+    "evaluations": {"designs": PLATES, "physics": {"n_steps": 20000}, "priority": "batch"},
     "trainings": TRAINING | {"steps": 100000},
     "campaigns": CAMPAIGN | {"population": 16, "generations": 100000, "physics": {"n_steps": 300}},
-    "certificates": {"designs": PLATES, "axes": ["chance"], "physics": {"n_steps": 5000}},
+    "certificates": {"designs": PLATES, "axes": ["chance"], "physics": {"n_steps": 20000}},
 }
 BELOW = {
     "evaluations": ["", "/trajectories/0", "/trajectories/0/file"],

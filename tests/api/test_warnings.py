@@ -201,7 +201,8 @@ def test_a_training_in_which_all_diverge_fails(service, steps, least):
     job = service.post("/v1/trainings", TUNE | {"steps": steps, "name": f"stiff-{steps}"})
     failed = await_end(service, f"/v1/trainings/{job['id']}").json()
     assert failed["state"] == "failed" and failed["attempts"] == 1, failed
-    assert f"first {least} step" in failed["error"]["detail"]
+    first = "first step," if least == 1 else f"first {least} steps,"
+    assert f"in the {first} every robot diverged" in failed["error"]["detail"]
     assert "stiffness_n_per_m" in failed["error"]["detail"]
     assert codes(failed) == codes(listed(service, failed)) == ["all_diverged", "unstable_step"]
     rows = service.pages(failed["links"]["steps"])
