@@ -654,6 +654,7 @@ def test_jobs_in_order(service, browser):
     found = "document.querySelector('table.jobs td.main')?.innerText"
     browser.open(f"evaluations/{job}")
     browser.click("Edit")
+    browser.until("document.querySelector('dialog textarea')")
     browser.run("document.querySelector('dialog textarea').value = '<b>falls</b> over'")
     browser.run("document.querySelector('dialog [type=checkbox]').click()")
     browser.click("Save")
@@ -664,6 +665,7 @@ def test_jobs_in_order(service, browser):
     browser.until(f"{found}?.includes('<b>falls</b> over')")
     browser.open(f"evaluations/{job}")
     browser.click("Edit")
+    browser.until("document.querySelector('dialog textarea')")
     browser.click("Delete")
     assert f"Evaluation {job} and its results" in browser.texts("[role=alertdialog] p")[0]
     browser.click("Delete the job")
