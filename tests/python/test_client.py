@@ -228,7 +228,7 @@ def test_what_a_result_does_not_show_is_a_warning(m):
         campaign.wait()
     with pytest.warns(UserWarning, match="no unseen bodies are left"):
         campaign.live()
-    with pytest.raises(morphod.JobError, match="first 2 steps diverged"):
+    with pytest.raises(morphod.JobError, match="in the first 2 steps, every robot diverged"):
         m.finetune([[[0, 0, 0]]], steps=2, batch=2, physics=stiff,
                    validation={"every_steps": 0}).wait()
     with warnings.catch_warnings():
