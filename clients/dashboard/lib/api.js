@@ -46,8 +46,8 @@ export function decoded(text) {
 }
 
 /**
- * Removes a token from the address (#token=…), so that it does not stay in the address bar, in the
- * history or in copied links. Returns the token, or null.
+ * Removes a token from the address (#token=…), so that it does not stay in the address bar, the
+ * history or copied links. Returns the token, or null.
  */
 export function tokenOfAddress() {
   const match = /[#&]token=([^&]*)/.exec(location.hash);

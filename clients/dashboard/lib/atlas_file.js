@@ -531,8 +531,8 @@ export class AtlasFile {
   }
 
   /** Returns the best bodies of a size, or of all, and counts them: those with lo ≤ score < hi.
-   * With a measure, those with lo ≤ value < hi and score_lo ≤ score < score_hi, the highest value
-   * first. */
+   * With a measure, those with lo ≤ value < hi and score_lo ≤ score < score_hi, the highest
+   * value first. */
   async best({ voxels = 0, lo = -Infinity, hi = NaN, limit = 100, measure = undefined,
     score_lo: scoreLo = undefined, score_hi: scoreHi = undefined } = {}) {
     if (measure) {

@@ -98,8 +98,8 @@ export function normalize(a) {
 }
 
 /**
- * Returns the layout of the heights of a world, as uniforms: 8 × 8 over 5 m × 5 m; with a spacing,
- * a profile along x that starts at x = 0; with columns as well, a grid around the start.
+ * Returns the layout of the heights of a world, as uniforms: 8 × 8 over 5 m × 5 m; with a
+ * spacing, a profile along x that starts at x = 0; with columns as well, a grid around the start.
  * @param {{heights: ArrayLike<number>, spacing?: number, columns?: number}} world
  */
 export function groundOf({ heights, spacing, columns }) {

@@ -96,7 +96,7 @@ export class CampaignCurves {
   }
 
   async refresh() {
-    // The first robots walk without waiting for the curves.
+    // The first robots come before the curves, which wait for them, but not for long.
     const isFirst = this.stage.isEmpty;
     if (isFirst) await this.champions.refresh();
     const fresh = await Promise.all([...this.curves, ...(this.replicates ? [this.replicates] : [])]
